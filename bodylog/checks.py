@@ -1,4 +1,4 @@
-"""What the pipeline refuses, in one line each: a file onto itself, logs that show nothing, names that fit nothing."""
+"""Inputs that the pipeline rejects: an output that is an input, logs without features, unknown names."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,7 +23,7 @@ def distinct(read: Sequence[Path], write: Iterable[Output], settings: Settings |
 
 
 def named_files(logs: Iterable[Path], settings: Settings) -> Iterator[Path]:
-    """The files read with these logs, from here or beside them: videos and tables that settings name, poses' images."""
+    """Files read along with these logs: videos and tables that the settings name, images of poses."""
     from .logs.datasets.tables import table_beside
     from .logs.tables.pose_log import image_files
     from .recording.cameras import is_video
@@ -46,7 +46,7 @@ def require_features(log: Path, features: Features) -> None:
 
 
 def require_trainable(log: Path, found: Features, settings: Settings) -> None:
-    """LogError when a body cannot be learned from a log: no joints, no reference or feature where one is named."""
+    """LogError when a body cannot be learned from a log: no joints, or a configured reference or feature is missing."""
     if found.joints is None or not len(found.joints.t):
         raise LogError(f"{log}: no joint readings to learn from; type: bodylog info {log}")
     if found.reference is None and (topic := settings.topics.reference):
@@ -56,7 +56,7 @@ def require_trainable(log: Path, found: Features, settings: Settings) -> None:
 
 
 def to_learn(features: Sequence[Features], settings: Settings) -> list[Features]:
-    """The features without tracks that [fit] without names; ConfigError for a name of which there is no track."""
+    """The features without the tracks named in [fit] without; ConfigError for a name without a track."""
     left = set(settings.fit.without)
     tracks = sorted({name for one in features for name in one.tracks})
     names = {*tracks, *map(group_of, tracks), *map(feature_of, tracks)}
@@ -76,7 +76,7 @@ def to_learn(features: Sequence[Features], settings: Settings) -> list[Features]
 def require_tracks(
     log: Path, used_of: Mapping[str, Health], features: Features, settings: Settings, instead: str = ""
 ) -> None:
-    """EvidenceError when a feature gave nothing though robot.toml names it or its camera: named is not guessed."""
+    """EvidenceError when a feature that robot.toml names, or whose camera it names, was never seen."""
     configured = {"effector": settings.colours.effector != Colours().effector}
     configured |= dict.fromkeys(settings.colours.markers, True)
     configured |= dict.fromkeys(settings.features, True)
@@ -90,9 +90,9 @@ def require_tracks(
 
 
 def same_camera(log: Path, learned: Iterable[str], read: Recording, features: Features) -> tuple[Finding, ...]:
-    """ModelError when the first camera, whose tracks are named plainly, is not the body's though the log has that one.
+    """ModelError when the log's first camera is not the body's first although the log has that one.
 
-    A remark when it has another name; nothing where the cameras of body or log are not known.
+    A finding when it has another name; () when the cameras of body or log are unknown.
     """
     from .recording.cameras import camera_name
 
@@ -108,21 +108,21 @@ def same_camera(log: Path, learned: Iterable[str], read: Recording, features: Fe
 
 
 def same_size(log: Path, learned: BodyModel, features: Features, settings: Settings) -> None:
-    """ModelError when pictures that are to be heard are not as wide as those the body was learned from."""
+    """ModelError when the images used are not as wide as those the body was learned from."""
     from .estimation.measurements.gather import chosen
 
     size, width = features.picture_size, learned.provenance.get("image_width")
     visual = [name for name in features.tracks if name in learned.senses and "/" not in name]
     if size and width and size[0] != round(width) and chosen(visual, learned, settings.estimate).intersection(visual):
         raise ModelError(
-            f"{log}: camera: pictures are {size[0]} px wide, {width:g} px where the body was learned; fit a body from "
+            f"{log}: camera: images are {size[0]} px wide, {width:g} px where the body was learned; fit a body from "
             f"a log of {size[0]} px, or go on with the rest: --without vision,touch"
         )
 
 
 @contextmanager
 def log_context(log: Path, findings: Iterable[Finding] = (), others: int = 0) -> Iterator[None]:
-    """Whatever an input is refused for in a `with`, told of the log (and of how many others), with what that lost."""
+    """Prefix input errors in a `with` with the log (and the number of others), and append its losses."""
     try:
         yield
     except InputError as problem:
@@ -131,6 +131,6 @@ def log_context(log: Path, findings: Iterable[Finding] = (), others: int = 0) ->
 
 
 def loss_note(log: Path, findings: Iterable[Finding]) -> str:
-    """What of a log is gone or of no use, for the end of a refusal that this may explain."""
+    """A log's losses and unusable messages, for the end of an error that they may explain."""
     texts = (f.text for f in findings if f.severity == "lost" or "no usable message" in f.text)
     return "".join(f"; {text.removeprefix(f'{log}: ')}" for text in texts)

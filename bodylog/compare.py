@@ -19,7 +19,7 @@ from .types import Features, Finding, Recording, Score
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One line of a comparison: what ran on which senses, how good it was, its processor time (s), its warnings."""
+    """One line of a comparison: method, senses, scores, CPU time (s), warnings."""
 
     method: str
     senses: tuple[str, ...]
@@ -35,10 +35,10 @@ def compare(
     progress: Progress | None = None,
     done: Callable[[Row], None] | None = None,
 ) -> tuple[list[Row], tuple[Finding, ...]]:
-    """Every method with every subset of the senses the log has; each is also asked for pictures withheld from it.
+    """Run every method with every subset of the log's senses; each also predicts withheld images.
 
-    `done` is told each row at once. What a method refuses is a remark, and an error where all refuse; EvidenceError
-    where no sense says anything.
+    `done` gets each row at once. A refused run is a warning, and an error if all are refused; EvidenceError
+    if no sense has readings.
     """
     from .body import storage
     from .estimation.methods import choices
@@ -50,7 +50,7 @@ def compare(
     same_size(log, learned, features, settings)
     subsets, silent = choices.subsets(features, learned, settings.estimate)
     if not subsets:
-        why = f"it says nothing by any sense of {body}; type: bodylog info {log}"
+        why = f"no sense of {body} has readings in it; type: bodylog info {log}"
         raise EvidenceError(f"{log}: {why}{loss_note(log, read.findings)}")
     rows: list[Row] = []
     refused: dict[str, InputError | UsageError] = {}
@@ -71,7 +71,7 @@ def compare(
 def _asked(
     settings: Settings, subsets: Sequence[tuple[str, ...]], silent: tuple[str, ...]
 ) -> Iterator[Settings]:
-    """Every method with every subset of the senses that it can do with, as settings."""
+    """Every method with every subset of the senses that it can use, as settings."""
     from .estimation import METHODS
     from .estimation.methods import choices
 
@@ -86,7 +86,7 @@ def _row(features: Features, learned: BodyModel, settings: Settings, read: Recor
     from .evaluation.heldout import held_out, withhold
 
     fewer, withheld = withhold(features)
-    # first, so that the one that is timed finds everything imported and in memory
+    # first, so that the timed run finds everything imported and in memory
     heldout = held_out(infer(fewer, learned, settings), withheld, learned)
     started = time.process_time()
     found = infer(features, learned, settings)
@@ -97,7 +97,7 @@ def _row(features: Features, learned: BodyModel, settings: Settings, read: Recor
 
 
 def _labelled(rows: Sequence[Row], refused: Mapping[str, Exception]) -> list[Finding]:
-    """What was said of rows, each thing once, after the rows it was said of."""
+    """The rows' findings, each once, with the labels of its rows."""
     labels_of: dict[Finding, list[str]] = {}
     for row in rows:
         for finding in row.findings:

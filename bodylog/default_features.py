@@ -1,4 +1,4 @@
-"""Which features a log is searched for where none is configured: a body's own, or what moves as the joints do."""
+"""Default features of a log without configured ones: a body's own, or whatever moves with the joints."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -23,12 +23,12 @@ _DEFAULTS = {"effector": Colours().effector, "hand": Colours().hand}
 
 
 def unconfigured(settings: Settings) -> bool:
-    """Whether neither [features] nor [colours] name anything to look for."""
+    """Whether neither [features] nor [colours] configures a feature."""
     return not settings.features and replace(settings.colours, fast=False) == Colours()
 
 
 def of_body(learned: BodyModel, settings: Settings) -> Settings:
-    """The settings; where they configure no feature, with the features and colours the body was learned with."""
+    """The settings; without configured features, with those that the body was learned with."""
     if not unconfigured(settings):
         return settings
     stored: Any = {}
@@ -46,16 +46,16 @@ def of_body(learned: BodyModel, settings: Settings) -> Settings:
 
 
 def of_log(read: Recording, settings: Settings) -> Settings:
-    """The settings; where they configure no feature, with those that were followed in a log."""
+    """The settings; without configured features, with those tracked in a log."""
     return replace(settings, features=read.settings.features) if unconfigured(settings) else settings
 
 
 def guessed(
     log: Path, read: Recording, found: Features, settings: Settings, look: Callable[[Recording, Settings], Features]
 ) -> tuple[Recording, Features]:
-    """A recording and what it shows, where it is looked at again if the default colour is not the arm's.
+    """A recording and its features, searched again if the default colour is not on the arm.
 
-    What moves as the joints do is followed then; the recording's settings name it.
+    The second search tracks whatever moves with the joints; the recording's settings name it.
     """
     from .perception import find_alternative
 
@@ -71,7 +71,7 @@ def guessed(
 
 
 def _chosen(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[Settings, tuple[Finding, ...]]:
-    """The settings with what moves as the joints do as the effector, and what to say of it and of the rest."""
+    """The settings with an effector that moves with the joints, and findings about it and the others."""
     rest = [one for one in survey.candidates if one is not survey.arm and one.seen]
     others = _grouped([(one.name, one.why or "also moves as the joints do") for one in rest])
     default = f"effector: {settings.colours.effector} is not the arm's: {why}"
@@ -87,7 +87,7 @@ def _chosen(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[S
 
 
 def _grouped(named: Sequence[tuple[str, str]]) -> str:
-    """Names by what is said of them; of many names the first few."""
+    """Names grouped by reason; of many names the first few."""
     by_reason: dict[str, list[str]] = {}
     for name, why in named:
         by_reason.setdefault("in too few images" if why.startswith("seen in") else why, []).append(name)

@@ -1,4 +1,4 @@
-"""What a recording shows: tracks, touches and poses found in it, or carried over from an earlier run."""
+"""Features of a recording: tracks, touches and poses found in it, or stored in it by an earlier run."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,16 +7,16 @@ from .settings import Settings, wanted
 from .types import Features, Finding, Recording
 
 Progress = Callable[[int], None]
-"""Called with how many more images are done."""
+"""Called with the number of further images done."""
 
 
 def moving(read: Recording, settings: Settings, progress: Progress | None) -> Features:
-    """What a recording shows, or what it carries of an earlier run."""
+    """The features of a recording, or those stored in it by an earlier run."""
     from . import perception
 
     if read.features is None:
         return replace(perception.observe(read, settings, progress), cameras=_cameras(read))
-    carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")
+    carried = Finding("info", "the log holds tracks of an earlier run, which are used; its images are not read")
     findings = (*read.features.findings, carried)
     boards = perception.rigid_groups(wanted(read.settings), read.features.tracks)
     tracks, health = {**read.tracks, **read.features.tracks}, {**read.features.health, **read.track_health}
@@ -24,7 +24,7 @@ def moving(read: Recording, settings: Settings, progress: Progress | None) -> Fe
 
 
 def still_poses(read: Recording, settings: Settings, progress: Progress | None) -> Features:
-    """What still poses show: the places their table names, and what is found in its images; strokes need motion."""
+    """Features of still poses: places from their table, and features found in its images; strokes need motion."""
     carried = read.features or Features(read.joints, {}, None, (), (), {})
     tracks, health = {**read.tracks, **carried.tracks}, {**carried.health, **read.track_health}
     carried = replace(carried, tracks=tracks, health=health)

@@ -1,4 +1,4 @@
-"""Where a track comes from: one record per kind of source of `[features]`, read from TOML and checked here."""
+"""Sources of tracks: one record per kind of source of `[features]`, read from TOML and checked."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -147,7 +147,7 @@ def parse(name: str, value: Any, where: str) -> Source:
 
 
 def check_colour(colour: Any, key: str) -> Colour:
-    """The colour, its bounds as tuples; ConfigError where it is no colour's name and no HSV range."""
+    """The colour, its bounds as tuples; ConfigError for an unknown name or an invalid HSV range."""
     if isinstance(colour, str):
         if colour not in NAMED_COLOURS:
             raise ConfigError(f"{key} is {colour!r}; possible: {', '.join(NAMED_COLOURS)}, or {RANGES}")
@@ -158,7 +158,7 @@ def check_colour(colour: Any, key: str) -> Colour:
 
 
 def spelled(source: Source) -> Any:
-    """The source as its value in TOML: a colour, or a table without what is left out."""
+    """The source as its value in TOML: a colour, or a table without the defaults."""
     if isinstance(source, ColourSource):
         return source.colour
     return {f.name: value for f in fields(source) if (value := getattr(source, f.name)) is not None}
@@ -186,9 +186,9 @@ def group_of(track: str) -> str:
 
 
 def board_points(source: Source) -> list[tuple[float, float, float]] | None:
-    """Where a rigid thing's tracks lie on it, m, in the order of `track_names`; None where that is not known.
+    """The places of a rigid thing's tracks on it, m, in the order of `track_names`; None where unknown.
 
-    Of a tag the origin is its centre, of a board its outer corner; x to the right and y down as printed, z into it.
+    The origin is a tag's centre or a board's outer corner; x to the right and y down as printed, z into it.
     """
     if isinstance(source, CharucoSource):
         columns, rows = source.shape

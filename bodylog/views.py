@@ -1,4 +1,4 @@
-"""What a person looks at: figures, the page on a log, a viewer's layout, the features a log offers."""
+"""Output for people: figures, the HTML page, a viewer's layout, candidates for features."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -52,7 +52,7 @@ def plot(source: Path, out: Path, settings: Settings, progress: Progress | None 
 
 
 def _reprojected(learned: BodyModel) -> "tuple[tuple[Sheet, ...], tuple[Zero, ...]]":
-    """Of a body learned with a URDF: what it was learned from beside what it expects there, and the joints' zeros."""
+    """Reprojection sheets of a body learned with a URDF, and the joints' zeros."""
     from .body.kinematic.model import KinematicGP
     from .body.kinematic.offsets import learned as told
     from .body.kinematic.offsets import plain as values
@@ -69,7 +69,7 @@ def _reprojected(learned: BodyModel) -> "tuple[tuple[Sheet, ...], tuple[Zero, ..
 
 
 def report(log: Path, out: Path, settings: Settings, figures: Path | None = None) -> Result:
-    """One page on an annotated log; with `figures`, the same as pictures in that folder."""
+    """Write one HTML page about an annotated log; with `figures`, also image files in that folder."""
     from .annotating import read_back
     from .report.page import page
     from .report.viewers import image_overlay
@@ -85,7 +85,7 @@ def report(log: Path, out: Path, settings: Settings, figures: Path | None = None
 
 
 def layout(log: Path, out: Path, settings: Settings) -> Result:
-    """A viewer's layout for an annotated log."""
+    """Write a viewer's layout for an annotated log."""
     from .annotating import read_back
     from .recording import recording
     from .report.viewers import foxglove as viewer
@@ -98,7 +98,7 @@ def layout(log: Path, out: Path, settings: Settings) -> Result:
 
 
 def view(log: Path, out: Path | None, settings: Settings) -> Result:
-    """A log as a Rerun recording, what was seen and believed drawn over its pictures; without `out` in a window."""
+    """A log as a Rerun recording with measurements and estimate over its images; without `out`, in a window."""
     from .report.viewers import rerun_process
 
     if out is not None:
@@ -118,7 +118,7 @@ def view(log: Path, out: Path | None, settings: Settings) -> Result:
 
 
 def _recorded(log: Path, source: Path, out: Path, settings: Settings) -> Result:
-    """The recording of `source`, which holds what is to be seen of `log`."""
+    """The Rerun recording of `source`, a readable copy of `log`."""
     from .recording import recording
     from .report.viewers import rerun_process, rerun_recording
 
@@ -133,7 +133,7 @@ def _recorded(log: Path, source: Path, out: Path, settings: Settings) -> Result:
 
 
 def _tidied(log: Path, out: Path, settings: Settings, refused: LogError) -> tuple[Path, tuple[Finding, ...]]:
-    """What `ingest` makes of a log that Rerun `refused`, raised where that would be nothing, or no estimate."""
+    """`ingest` a log that Rerun `refused`; raise that error where the result is empty, or an estimate is lost."""
     from .logs.formats import open_log
 
     with open_log(log, settings.input.strict, settings.input) as opened:
@@ -147,14 +147,14 @@ def _tidied(log: Path, out: Path, settings: Settings, refused: LogError) -> tupl
 
 
 def _left_out(log: Path, unshown: Mapping[str, str], cameras: "Mapping[str, Camera]") -> list[Finding]:
-    """What Rerun cannot show and no camera of ours brings along."""
+    """Warnings about entities that Rerun cannot show and that no camera replaces."""
     brought = {camera.entity for camera in cameras.values() if camera.frames is not None}
     said = {entity: why for entity, why in unshown.items() if entity not in brought}
     return [Finding("warning", f"{log}: {name}: left out, Rerun cannot show it: {why}") for name, why in said.items()]
 
 
 def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Finding, ...]]:
-    """A log that Rerun reads whole: a sound one itself, else `out`: what is sound of it, or what ingest makes of it."""
+    """A log that Rerun reads whole: the log itself if sound, else `out`: its sound part, or the result of ingest."""
     from .logs.formats import open_log
     from .logs.mcap.records import is_mcap
 
@@ -168,7 +168,7 @@ def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Find
 
 
 def _estimate(log: Path, source: Path, read: Recording) -> tuple[Estimate | None, tuple[Finding, ...]]:
-    """The estimate a log carries, or None and a remark on how to get one."""
+    """The estimate in a log, or None and a finding that says how to get one."""
     from .annotating import read_back
 
     if any(topic.name == f"{PREFIX}joint_covariance" for topic in read.topics):
@@ -177,7 +177,7 @@ def _estimate(log: Path, source: Path, read: Recording) -> tuple[Estimate | None
 
 
 def _cameras(log: Path, read: Recording) -> "dict[str, Camera]":
-    """Cameras by name, "" the first, but for videos beside the log."""
+    """Cameras by name, "" the first; videos beside the log are left out."""
     from .report.viewers.rerun_recording import Camera
 
     frames = {"": read.frames, **read.views}
@@ -186,7 +186,7 @@ def _cameras(log: Path, read: Recording) -> "dict[str, Camera]":
 
 
 def _topic(read: Recording, camera: str) -> str:
-    """The topic of a camera's pictures, by its name; "" for a video's."""
+    """The image topic of a camera, by its name; "" for a video."""
     return topic_of(read, f"camera/{camera}".strip("/")) or ""
 
 
@@ -205,7 +205,7 @@ def _frame_id(log: Path, topic: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Offered:
-    """What a log offers to follow, the likeliest of the arm first, as plain values; how many images were looked at."""
+    """Candidates for features in a log, the likeliest on the arm first, as plain values; number of images searched."""
 
     candidates: list[dict[str, Any]]
     images: int
@@ -213,7 +213,7 @@ class Offered:
 
 
 def features(log: Path, out: Path | None, settings: Settings, effector: tuple[float, float] | None) -> Offered:
-    """Tags and colours in a log, and how much of their motion the joints explain; `out`: a contact sheet (PNG)."""
+    """Tags and colours in a log, and the share of motion that the joints explain; `out`: a contact sheet (PNG)."""
     from .perception import survey
     from .recording import recording
     from .report.figures import contact_sheet

@@ -1,4 +1,4 @@
-"""What the pipeline writes into a log: messages of features and estimates, and where they come from."""
+"""Messages of features and estimates that the pipeline writes into a log, and their provenance."""
 
 import json
 from collections.abc import Sequence
@@ -11,21 +11,21 @@ from .version import __version__
 
 
 def feature_messages(read: Recording, features: Features) -> list[Outgoing]:
-    """What was found in a recording, as messages."""
+    """The features of a recording, as messages."""
     from .annotating import messages
 
     return messages.from_features(features, read.start_ns)
 
 
 def estimate_messages(read: Recording, features: Features, found: Estimate) -> list[Outgoing]:
-    """An estimate and the features it was made of, as messages."""
+    """An estimate and its features, as messages."""
     from .annotating import messages
 
     return [*feature_messages(read, features), *messages.from_estimate(found, features, read.start_ns)]
 
 
 def topic_of(read: Recording, role: str) -> str | None:
-    """The topic behind a role's message path: the longest of the log's topics that the path begins with."""
+    """The topic of a role's message path: the longest of the log's topics that the path begins with."""
     path = read.roles.get(role, "")
     return max((t.name for t in read.topics if path == t.name or path.startswith(t.name + ".")), key=len, default=None)
 

@@ -1,4 +1,4 @@
-"""The paper's experiments: recorded, run in every reading and by our default, judged over seeds, on one page."""
+"""The paper's experiments, run in every reading and with our default, judged over seeds, on one page."""
 
 from .judging import Claim
 from .records import Experiment

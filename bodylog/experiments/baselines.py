@@ -1,4 +1,4 @@
-"""Baselines: our filter and smoother beside encoders alone, the printed model, and what could be known."""
+"""Baselines: our filter and smoother, encoders alone, the printed model, and an oracle."""
 
 from collections.abc import Sequence
 
@@ -15,9 +15,9 @@ from .records import Experiment, Readings, Table, Trial, column
 from .static import kalman
 
 DURATION, SINCE = 20.0, 2.0
-"""s: how long a reach lasts, hidden for two seconds in its middle, and from when on errors count."""
+"""s: duration of a reach, hidden for two seconds in its middle, and start of the errors counted."""
 ENCODER_STD = 0.02
-"""rad, as recorded."""
+"""rad: noise as recorded."""
 ROWS = (
     "raw encoders",
     "Kalman filter of the paper, encoders alone",
@@ -83,7 +83,7 @@ def _errors(observed: ObservedLog, sensed: OracleInputs, found: Known) -> dict[s
 
 
 def oracle_inputs(observed: ObservedLog, vision: bool) -> OracleInputs:
-    """What the oracle is told of a log: encoders, and what vision found with the variance it truly has."""
+    """The oracle's inputs from a log: encoders, and the tracked effector with its true variance."""
     from .drawn import place
 
     joints, track = observed.features.joints, observed.features.effector

@@ -1,4 +1,4 @@
-"""What our default believes of a log, beside the truth."""
+"""Our default's belief about a log, with the truth."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -29,12 +29,12 @@ class Belief:
         return float(np.sqrt(np.mean(self.error(since) ** 2)))
 
     def at(self, t: Array) -> Array:
-        """The belief (K,M) rad on the line between two instants, at times t (K,) s."""
+        """The belief (K,M) rad at times t (K,) s, linearly interpolated."""
         return np.column_stack([np.interp(t, self.t, column) for column in self.x.T])
 
 
 def ours(observed: ObservedLog, body: BodyModel, senses: tuple[str, ...] | None = None, **settings: Any) -> Belief:
-    """What our default believes."""
+    """Our default's belief."""
     return believed(estimated(observed, body, Estimation(senses=senses, **settings)), observed)
 
 
@@ -44,7 +44,7 @@ def estimated(observed: ObservedLog, body: BodyModel, settings: Estimation) -> E
 
 
 def believed(found: Estimate, observed: ObservedLog) -> Belief:
-    """An estimate beside the truth."""
+    """An estimate as a belief with the truth."""
     return Belief(found.joints.t, found.joints.values, observed.true(found.joints.names, found.joints.t))
 
 

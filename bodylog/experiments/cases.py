@@ -1,4 +1,4 @@
-"""From a reading to runs of the printed model: its map from 46 samples, its units, its touch, on a log's signals."""
+"""Runs of the printed model in a reading: its map from 46 samples, units and touch, on a log's signals."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,12 +18,12 @@ SCALE, SIGMA = float(np.exp(0.1)), float(np.exp(0.02))
 A_1 = 0.001
 """The printed a_1."""
 LATE = 0.2
-"""s: a hand seen longer ago is not seen."""
+"""s: a hand last seen longer ago counts as unseen."""
 
 
 @dataclass(frozen=True, eq=False)
 class Explored:
-    """What the printed model learns from: the 46 samples x (46,M) rad and where they were seen, y (46,2) px."""
+    """The printed model's training data: 46 samples x (46,M) rad and their places y (46,2) px."""
 
     x: Array
     y: Array
@@ -36,7 +36,7 @@ class Explored:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation (px) of the places, both coordinates together."""
+        """Standard deviation (px) of the places, over both coordinates."""
         return float(np.sqrt(self.y.var(axis=0).mean()))
 
     def map(self, reading: Reading) -> Map:
@@ -73,7 +73,7 @@ def explored(body: BodyModel) -> Explored:
 
 
 def drawn_samples(seed: int, moving: tuple[bool, bool, bool] = (True, True, True), count: int = 46) -> Explored:
-    """An exploration drawn without a recording: `count` postures of the explored box, quiet encoders, where seen."""
+    """An exploration drawn without a recording: `count` postures of the explored box, noiseless encoders, places."""
     rng = np.random.default_rng([seed, 23])
     x = np.array(ARM.home[:3]) + np.array(ARM.swing[:3]) * moving * rng.uniform(-1.0, 1.0, (count, 3))
     seen = place(x) + PIXEL_STD * rng.standard_normal((count, 2))
@@ -93,7 +93,7 @@ def case(
 
 
 def _unit(known: Explored, reading: Reading, name: str) -> float:
-    """The unit (px) in which a variance or b_1 is read."""
+    """The unit (px) of a variance or b_1 in a reading."""
     of_log = {"standardised": known.scatter, "half-widths": SIZE[0] / 2, "widths": float(SIZE[0]), "cm": px_per_cm()}
     found = readings.number(reading, name)
     return of_log[readings.value(reading, name)] if found is None else found
@@ -109,18 +109,18 @@ def _touching(known: Explored, reading: Reading) -> Touching:
 
 
 def beside(body: BodyModel) -> Array:
-    """Where touched skin is seen beside the effector (2,) px, the mean of all cells the body knows; zero of none."""
+    """The place of touched skin relative to the effector (2,) px, mean of all cells the body knows; 0 without cells."""
     places = np.array([place[:2] for place in body.cells.values()])
     return np.asarray(places.mean(axis=0)) if len(places) else np.zeros(2)
 
 
 def placed(sensed: Signals, reading: Reading, by: Array) -> Signals:
-    """The signals with the hand in this reading of o_v, touched skin being seen `by` (2,) px beside the effector."""
+    """The signals with the hand in this reading of o_v; touched skin is seen `by` (2,) px beside the effector."""
     return sensed if readings.value(reading, "o_v") == "hand" else replace(sensed, hand=sensed.hand - by)
 
 
 def signals(observed: ObservedLog, joints: Sequence[str] = JOINTS) -> Signals:
-    """A log on the printed grid of 20 Hz: nearest encoder reading, place between two frames, the touch under way."""
+    """A log on the printed grid of 20 Hz: nearest encoder reading, interpolated place, current touch."""
     features, encoders = observed.features, observed.features.joints
     assert encoders is not None
     t = np.arange(encoders.t[0], encoders.t[-1], DT)
@@ -148,7 +148,7 @@ def _between(features: Features, t: Array) -> Array:
 
 
 def _felt(features: Features, t: Array) -> tuple[Array, Array]:
-    """The hand (N,2) px while a touch paired with a stroke is felt, and that pair's delay (N,) s; NaN else."""
+    """The hand (N,2) px during touches paired with a stroke, and the pair's delay (N,) s; NaN otherwise."""
     hand, delay = np.full((len(t), 2), np.nan), np.full(len(t), np.nan)
     if features.hand is None or not len(features.hand.t):
         return hand, delay
@@ -167,7 +167,7 @@ def _during(features: Features, pair: Synchrony, t: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """What one reading's runs believe: signals · x {name: (N,M) rad} · errors {name: e_p, e_v (N,M+2)}."""
+    """The beliefs of one reading's runs: signals · x {name: (N,M) rad} · errors {name: e_p, e_v (N,M+2)}."""
 
     signals: Signals
     x: Mapping[str, Array]
@@ -181,7 +181,7 @@ class Made:
 def study(
     tried: Sequence[Reading], log: Callable[[Reading], Signals], cases: Callable[[Reading, Signals], Mapping[str, Case]]
 ) -> dict[str, Made]:
-    """What every reading's runs believe, by the reading's key; those on one log run at once."""
+    """The beliefs of all readings' runs, by the reading's key; those on one log run together."""
     groups: dict[int, list[tuple[str, Signals, Mapping[str, Case]]]] = {}
     for reading in tried:
         sensed = log(reading)

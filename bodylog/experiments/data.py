@@ -1,6 +1,6 @@
 """The data of the paper's figure 3: joints and sightings, the learned map, the skin, touches and strokes.
 
-Beside it, the claims of the paper that no simulation can decide.
+Also the claims of the paper that no simulation can decide.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ CUTS = 5
 
 
 def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
-    """Drawn for the first seed alone: what it shows is no figure of merit."""
+    """Drawn for the first seed alone: it shows no figure of merit."""
     if seed:
         return {"figures": {}, "panels": []}
     observed = lab.observed("horizontal", seed, duration=lab.exploration)

@@ -1,4 +1,4 @@
-"""The figures: the paper's redrawn from one seed, every claim's outcomes by reading, and what was swept."""
+"""The figures: the paper's redrawn from one seed, every claim's outcomes by reading, and sweeps."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,9 +14,9 @@ KEPT, BROKEN = "#2a9d68", "#d1495b"
 WIDE = 30.0
 """Figures whose sizes differ by more are drawn on a logarithmic axis."""
 REAL = ("true ", "truth")
-"""How the lines of what really was begin; they are drawn in dashes."""
+"""Prefixes of ground truth's lines, which are dashed."""
 NAMED = 10
-"""Lines of a panel that a legend still names."""
+"""Most lines of a panel that a legend names."""
 _ACROSS = 2
 
 
@@ -45,7 +45,7 @@ def _trace(axis: Any, shown: Mapping[str, Any]) -> None:
 
 
 def curves(trials: Sequence[Trial], out: Path) -> None:
-    """Measured costs by size, a line for each thing that grows, with its exponent: medians over the seeds."""
+    """Measured costs by size, one line per quantity with its exponent: medians over the seeds."""
     found: dict[str, dict[int, float]] = {}
     for name in trials[0]["figures"]:
         what, _, size = name.rpartition(" ")

@@ -1,6 +1,6 @@
-"""Logs drawn without a renderer: the simulated arm at any speed before the simulated camera, as perception finds it.
+"""Logs drawn without a renderer: features of the simulated arm at any speed, as perception would find them.
 
-A rendered minute takes a minute; what counts here is the motion, and perception's error is known.
+A rendered minute takes a minute; only the motion matters here, and perception's error is known.
 """
 
 from functools import cache
@@ -21,7 +21,7 @@ PIXEL_STD = 0.1
 """px: the 99th percentile of perception's error on rendered logs (docs/validation.md)."""
 SIZE = (320, 240)
 SETTLING = 8.0
-"""s of each log before its period begins to count."""
+"""s at the start of each log that do not count."""
 _ASIDE = np.array([0.017, 0.0, 0.03])
 _RATIOS = np.array([1.0, 1.3, 1.7])
 """Periods of the three joints, in the first's: they never repeat together."""
@@ -41,17 +41,17 @@ def camera(size: tuple[int, int] = SIZE) -> Camera:
 
 
 def effector(x: Array) -> Array:
-    """Where the effector is (N,3) m at x (N,3) rad, the wrist at rest."""
+    """The effector's position (N,3) m at x (N,3) rad, the wrist at rest."""
     return _steps().at(np.column_stack([x, np.tile(ARM.home[3:], (len(x), 1))])).place
 
 
 def place(x: Array, size: tuple[int, int] = SIZE) -> Array:
-    """Where it is seen (N,2) px at x (N,3) rad."""
+    """Its place in the image (N,2) px at x (N,3) rad."""
     return ellipse_centre(camera(size), effector(x), RADIUS)
 
 
 def px_per_cm() -> float:
-    """Pixels a centimetre across the view has at the effector's home."""
+    """Pixels per centimetre across the view at the effector's home."""
     seen = camera()
     return float(seen.focal / (seen.rotation @ (effector(np.array([ARM.home[:3]]))[0] - seen.position))[2] / 100.0)
 

@@ -20,11 +20,11 @@ SENSES = ("v", "p1+p3+v", "p+v", "p")
 OURS = {"v": ("vision",), "p1+p3+v": ("shoulder_pan_joint", "elbow_joint", "vision"),
         "p+v": ("encoders", "vision"), "p": ("encoders",)}  # fmt: skip
 OFF = 0.15
-"""rad: how far every joint's belief starts from the truth."""
+"""rad: initial error of every joint's belief."""
 SIDEWAYS = (True, True, False)
 """The elbow rests, in exploration and in the test."""
 FAST, SLOW = "4", "60"
-"""s: the periods between which the dynamics are called slow."""
+"""s: the periods of fast and slow dynamics that are compared."""
 CONCERNED = ("sigma_n", "sigma_v", "mu_x", "integration", "speed", "noise")
 
 
@@ -32,7 +32,7 @@ class Logs:
     """The logs of one seed by speed and noise, each drawn once, and where a belief starts."""
 
     def __init__(self, seed: int, moving: tuple[bool, bool, bool] = SIDEWAYS) -> None:
-        """Of this seed; nothing is made yet."""
+        """Draw no log yet."""
         self.seed, self.moving = seed, moving
         self.made: dict[tuple[float, float], tuple[ObservedLog, Signals]] = {}
 
@@ -94,12 +94,12 @@ def _figures(made: Made) -> dict[str, float]:
 
 
 def left(t: Array, x: Array, true: Array) -> float:
-    """Share of the elbow's first error that is still there in the last second."""
+    """Share of the elbow's initial error that remains in the last second."""
     return float(abs((x - true)[t >= t[-1] - 1.0, 2].mean()) / OFF)
 
 
 def followed(made: Made, name: str, joint: int) -> float:
-    """Share of a joint's true motion that a belief follows: the slope of belief on truth once settled."""
+    """Share of a joint's true motion that a belief follows: the slope of belief over truth once settled."""
     late = made.signals.t >= drawn.SETTLING
     true, x = made.signals.true[late, joint], made.x[name][late, joint]
     return float(np.cov(x, true)[0, 1] / np.var(true, ddof=1))

@@ -29,11 +29,11 @@ NEAR = 0.05
 BEGINS = 5.0
 """s when the arm starts moving."""
 CONCERNED = ("sigma_n", "sigma_v", "integration", "speed", "noise")
-"""The prior is printed here."""
+"""Constants that the claims may depend on; the prior is printed here."""
 
 
 class _Logs:
-    """The logs of one seed by speed, noise and what encoders read: squares or angles."""
+    """The logs of one seed by speed, noise and the encoders' reading: squares or angles."""
 
     def __init__(self, seed: int) -> None:
         self.seed = seed
@@ -83,7 +83,7 @@ def _figures(made: Made, plain: Made) -> dict[str, float]:
 
 
 def _lag(made: Made, senses: str, rows: Array) -> float:
-    """Error (rad) of the angles' sizes, which a square tells, while the arm moves."""
+    """Error (rad) of the angles' absolute values, which a square determines, while the arm moves."""
     return float(np.sqrt(np.mean((np.abs(made.x[senses]) - np.abs(made.signals.true))[rows] ** 2)))
 
 
@@ -122,7 +122,7 @@ def descended(
 
 
 def signed(observed: ObservedLog, body: BodyModel) -> Belief:
-    """Of the beliefs that start from every choice of signs of the encoders' roots, the one of least free energy."""
+    """The belief of least free energy, of those started at every choice of signs of the encoders' roots."""
     assert observed.features.joints is not None
     columns = [observed.features.joints.names.index(name) for name in body.joints]
     size = np.sqrt(np.abs(np.median(observed.features.joints.values[:100, columns], axis=0)))

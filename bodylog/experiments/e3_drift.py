@@ -1,6 +1,6 @@
 """E3, an encoder drifts after learning: shoulder 1 by 0.3 rad between 8 s and 24 s, in joint angles.
 
-What the drift does is the belief minus what is believed of the same log with the drift taken out of the readings.
+The drift's effect is the belief minus the belief about the same log without the drift.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ DRIFT, BEGINS, FULL = 0.3, 8.0, 24.0
 """rad at the end · s when it begins · s when it is complete, from when on effects count."""
 SECONDS = 32.0
 INDUCED = 0.01
-"""rad: a smaller bias of another joint is none."""
+"""rad: a smaller bias of another joint counts as zero."""
 CONCERNED = ("sigma_n", "sigma_v", "mu_x", "integration", "speed", "noise")
 
 

@@ -20,9 +20,9 @@ SENSES = ("p", "p+t", "p+v", "p+v+t")
 OURS = {"p": ("encoders",), "p+t": ("encoders", "touch"), "p+v": ("encoders", "vision"),
         "p+v+t": ("encoders", "vision", "touch")}  # fmt: skip
 WORTH = 0.99
-"""A sense adds accuracy when it takes off at least a hundredth of the error."""
+"""A sense adds accuracy when it removes at least 1 % of the error."""
 DURATION, SINCE = 16.0, 4.0
-"""s: how long, and from when on errors count, a second after the first stroke."""
+"""s: duration, and start of the errors counted, a second after the first stroke."""
 OWN_NOISE = 0.02
 """rad: the encoders' noise in the log."""
 POOR = (0.1, 0.3)
@@ -31,7 +31,7 @@ CONCERNED = ("sigma_n", "sigma_v", "mu_x", "integration", "noise", "b_1", "o_v",
 
 
 class Noises:
-    """The log of one seed with the encoders' noise of a reading; less than its own is not possible and is its own."""
+    """The log of one seed with the encoders' noise of a reading, or its own noise where that is larger."""
 
     def __init__(self, observed: ObservedLog, own_noise: float, by: Array, seed: int) -> None:
         """Of this seed; nothing is made yet."""
@@ -49,7 +49,7 @@ class Noises:
 
 
 def with_noise(observed: ObservedLog, noise: float, own_noise: float, seed: int) -> ObservedLog:
-    """The log as if its encoders, which have `own_noise` (rad), had `noise`: scaled about the truth, or added to."""
+    """The log as if its encoders, which have `own_noise` (rad), had `noise`: scaled about the truth, or increased."""
     joints = observed.features.joints
     assert joints is not None
     if noise >= own_noise:

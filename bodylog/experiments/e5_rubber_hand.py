@@ -17,14 +17,14 @@ from .readings import Reading
 from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
 
 DURATION, CALM = 20.0, 5.0
-"""s: how long, and how long nothing touches."""
+"""s: duration, and time before the first touch."""
 RHYTHMS, SIDES = ("synchronous", "asynchronous"), {"left": -1.0, "right": 1.0}
 DISPLACEMENT = 0.12 * SIZE[0]
-"""px: how far aside the hand is seen."""
+"""px: displacement of the hand's image."""
 OWN_NOISE = 0.01
 """rad: the encoders' noise in these logs."""
 NOTICED = 0.01
-"""Shares of the displacement: a drift of less is none."""
+"""Share of the displacement below which a drift counts as zero."""
 CONCERNED = ("sigma_n", "integration", "noise", "b_1", "o_v", "s_t", "sigma_t", "a_2", "b_2")
 
 
@@ -71,7 +71,7 @@ def _largest(t: Array, apart: Array) -> float:
 
 
 def _together(figures: Mapping[str, float], tried: Readings) -> dict[str, float]:
-    """Of each reading: the lesser drift toward the hand of both sides, and the greater one when asynchronous."""
+    """Per reading: the lesser drift of both sides toward the hand, and the greater one of asynchronous strokes."""
     found = {}
     for key in (readings.key(reading) for reading in tried.all):
         both = {r: [figures[named(key, f"{r} {side}")] for side in SIDES] for r in RHYTHMS}

@@ -1,6 +1,6 @@
 """E6, cost: learning grows as n³, prediction as N·n, a step as N + M. Times differ from run to run, verdicts do not.
 
-N and M grow together: apart, a small machine's fixed cost hides whether N + M or N·M is paid.
+N and M grow together: separately, a fixed cost hides the difference of N + M and N·M.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,7 +35,7 @@ def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
 
 
 def spent(work: Callable[[], object], times: int = 1) -> float:
-    """Least seconds one call took, after a first that does not count."""
+    """Least seconds of one call, after a first that does not count."""
     work()
     found = []
     for _ in range(REPEATS):
@@ -86,7 +86,7 @@ def _stepping(senses: int, joints: int, rng: np.random.Generator) -> Callable[[]
 
 
 def _sparse(senses: int, joints: int, rng: np.random.Generator) -> Callable[[], object]:
-    """The same where a sense depends on one joint, as an encoder does."""
+    """The same step when a sense depends on one joint, as an encoder does."""
     slopes, e, x, ex = rng.standard_normal(senses), rng.standard_normal(senses), np.zeros(joints), np.zeros(joints)
     which = rng.integers(joints, size=senses)
     return lambda: x + DT * (-ex + np.bincount(which, e * slopes, joints))

@@ -1,4 +1,4 @@
-"""Errata: the printed equations run as they stand, beside the form that can be run, each with its derivation."""
+"""Errata: the equations as printed and in the form that works, each with its derivation."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING

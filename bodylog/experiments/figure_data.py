@@ -31,7 +31,7 @@ def write(out: Path, trials: Mapping[str, Sequence[Trial]], claims: Sequence[Cla
 
 
 def _csv(table: Columns, path: Path) -> None:
-    """Text is quoted where it must be; a number that is none is an empty cell."""
+    """Text is quoted where necessary; NaN is an empty cell."""
     columns = [["" if v != v else v for v in column.tolist()] for column in table.values()]
     with atomic_files.replacing(path) as beside, beside.open("w", encoding="utf-8", newline="") as stream:
         rows = csv.writer(stream, lineterminator="\n")

@@ -7,7 +7,7 @@ import numpy as np
 
 
 def jsonable(value: Any) -> Any:
-    """The value without numpy in it; what is not a finite number is null."""
+    """The value without NumPy types; a number that is not finite is null."""
     if isinstance(value, Mapping):
         return {str(key): jsonable(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""How a claim is judged: in every reading over all seeds, with what must be so for the reading to test it at all."""
+"""Judge claims: in every reading over all seeds, with the controls that a reading must pass to test the claim."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +22,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Bound:
-    """What a figure must be for the claim to hold: at most or at least a limit."""
+    """The bound of a figure for the claim to hold: at most or at least a limit."""
 
     sign: str
     limit: float
@@ -39,7 +39,7 @@ class Bound:
 
 @dataclass(frozen=True)
 class Control:
-    """What must hold beside a claim for a reading to test it: a figure's name and its bound."""
+    """A condition for a reading to test a claim: a figure's name and its bound."""
 
     measured: str
     unit: str
@@ -49,7 +49,7 @@ class Control:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one reading found: figures by seed, their median and its 95 % interval, share of seeds that keep the claim.
+    """One reading's result: figures by seed, their median and its 95 % interval, share of seeds that keep the claim.
 
     control: the share of seeds in which the controls hold; `share` counts seeds in which both do.
     """
@@ -66,8 +66,8 @@ class Outcome:
 class Claim:
     """One sentence judged. kind: paper, own or comparison.
 
-    outcomes {reading: Outcome} decide; sweeps {constant: [(number, Outcome)]} show where it turns; `turns` says so.
-    For a claim of our own or a comparison outcomes has one entry, of our default.
+    outcomes {reading: Outcome} decide; sweeps {constant: [(number, Outcome)]} show where the verdict changes; `turns`
+    is that as text. For a claim of our own or a comparison, outcomes has one entry, of our default.
     """
 
     id: str
@@ -122,7 +122,7 @@ def comparison(
     name: str, text: str, measured: str, unit: str, bound: Bound, figures: Mapping[str, Sequence[float]],
     shared: str, differences: str,
 ) -> Claim:  # fmt: skip
-    """A comparison with others' figures: what is alike and what is not stands beside; the last decides."""
+    """A comparison with others' figures, with the setup's shared and differing parts; the last figure decides."""
     found = {who: _outcome(bound, values, [True] * len(values)) for who, values in figures.items()}
     verdict = OWN_HOLDS if list(found.values())[-1].keeps else OWN_FAILS
     return Claim(
@@ -134,7 +134,7 @@ def erratum(
     name: str, text: str, measured: str, unit: str, bound: Bound, figures: Mapping[str, Sequence[float]],
     derivation: str,
 ) -> Claim:  # fmt: skip
-    """What an equation does as printed and as it is run here, with the derivation."""
+    """An equation's effect as printed and as run here, with the derivation."""
     found = comparison(name, text, measured, unit, bound, figures, "", "")
     return replace(found, kind="erratum", explanation=derivation)
 
@@ -143,7 +143,7 @@ def variants(
     name: str, text: str, measured: str, unit: str, bound: Bound, figures: Mapping[str, Sequence[float]],
     apart: str, explanation: str = "",
 ) -> Claim:  # fmt: skip
-    """A claim of the paper about no constant, judged in variants of what it says; `apart` is what they differ in."""
+    """A claim of the paper about no constant, judged in variants of its wording; `apart` is their difference."""
     found = {who: _outcome(bound, values, [True] * len(values)) for who, values in figures.items()}
     verdict = _varied([one.keeps for one in found.values()], apart)
     texts = "; ".join(f"{'kept' if one.keeps else 'not kept'}: {who}" for who, one in found.items())
@@ -165,7 +165,7 @@ def untestable(name: str, text: str, why: str) -> Claim:
 
 
 def outcome(bound: Bound, figure: str, figures: Figures, key: str, controls: Sequence[Control]) -> Outcome:
-    """What one reading says of a claim."""
+    """The outcome of a claim in one reading."""
     held = [control.bound.kept(figures(key, control.figure)) for control in controls]
     values = figures(key, figure)
     return _outcome(bound, values, [all(row) for row in zip(*held, strict=True)] if held else [True] * len(values))
@@ -213,7 +213,7 @@ def verdict_of(outcomes: Mapping[str, Outcome]) -> tuple[str, tuple[str, ...]]:
 def turns(
     outcomes: Mapping[str, Outcome], swept: Mapping[str, Sequence[tuple[float, Outcome]]], guilty: Sequence[str]
 ) -> str:
-    """Where the verdict turns: between which numbers of each constant, or by which of its values."""
+    """Where the verdict changes: between which numbers of each constant, or for which of its values."""
     parts = []
     for name in guilty:
         found = [(a, b) for (a, x), (b, y) in pairwise(swept.get(name, ())) if x.keeps != y.keeps]

@@ -1,4 +1,4 @@
-"""Where experiments get their logs and bodies: recorded and learned once, kept in a folder."""
+"""Logs and bodies of the experiments: recorded and learned once, kept in a folder."""
 
 import json
 from collections.abc import Mapping
@@ -19,9 +19,9 @@ from .json_values import jsonable
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 """The paper's shoulder 1, shoulder 2 and elbow, the order of x."""
 NAMES = ("shoulder 1", "shoulder 2", "elbow")
-"""What the paper calls them."""
+"""The paper's names."""
 EXPLORATION_S = 30.0
-"""How long a body is explored for."""
+"""Duration of an exploration."""
 ELSEWHERE = 1000
 """Added to the seed for another log of the same kind."""
 
@@ -42,7 +42,7 @@ class ObservedLog:
 
 @dataclass(frozen=True)
 class Lab:
-    """A folder of what was recorded and learned so far; picture size (px), seconds of exploration per body."""
+    """A folder of recorded logs and learned bodies; image size (px), seconds of exploration per body."""
 
     folder: Path
     size: tuple[int, int] = (320, 240)
@@ -50,14 +50,14 @@ class Lab:
     markers: Mapping[str, str] = field(default_factory=dict)
 
     def observed(self, scenario: str, seed: int, **options: Any) -> ObservedLog:
-        """What perception finds in a recording of `scenario` (options as `sim.record`), made when it is not there."""
+        """The features of a recording of `scenario` (options as `sim.record`), made unless it exists."""
         settings = self._settings()
         read, features = pipeline.observe(self.log(scenario, seed, **options), settings)
         assert read.truth is not None  # every simulated log carries it
         return ObservedLog(features, read.truth)
 
     def log(self, scenario: str, seed: int, **options: Any) -> Path:
-        """The recording's signals and tracks, without its pictures."""
+        """The recording's signals and tracks, without its images."""
         path = self._path(f"{scenario}-{seed}", "mcap", options)
         if not path.exists():
             with scratch() as folder:  # another process may be recording the same
@@ -80,7 +80,7 @@ class Lab:
         return storage.load(path)
 
     def key(self, options: Mapping[str, Any]) -> str:
-        """What a kept file depends on beside its name, as 12 hex digits."""
+        """Digest of a kept file's inputs, 12 hex digits."""
         inputs = {**options, "size": self.size, "exploration": self.exploration, "version": __version__}
         inputs["markers"] = dict(self.markers)
         return sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:12]
@@ -94,7 +94,7 @@ class Lab:
 
 
 def kept(path: Path, make: Any) -> Any:
-    """The value in a JSON file; made by `make()` and kept there when it is not."""
+    """The value in a JSON file; made by `make()` and stored there unless it exists."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_files.replacing(path) as beside:

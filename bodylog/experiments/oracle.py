@@ -1,7 +1,7 @@
-"""What could be known: a filter and a smoother that are told arm, camera and noise, the motion's order by evidence.
+"""An oracle: a filter and a smoother given the true arm, camera and noise; the motion's order is by evidence.
 
-Joints move with white acceleration or white jerk; order and density are those of greatest evidence of the log, and a
-textbook extended Kalman filter with Rauch, Tung and Striebel's smoother does the rest. `estimation` shares no code.
+Joints move with white acceleration or white jerk, with the order and density of greatest evidence; a
+textbook extended Kalman filter and Rauch-Tung-Striebel smoother do the rest. `estimation` shares no code.
 """
 
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ from .drawn import place
 DENSITIES = {2: np.geomspace(0.003, 3.0, 7), 3: np.geomspace(0.03, 300.0, 9)}
 """rad²/s³ of white acceleration · rad²/s⁵ of white jerk: tried by order of the motion."""
 PASSES = 2
-"""Times the smoother linearises frames anew at its own path."""
+"""Times that frames are linearised again at the smoother's own path."""
 STEP = 1e-6
-"""rad: of the camera's slopes."""
+"""rad: step of the camera's numerical slopes."""
 
 
 @dataclass(frozen=True, eq=False)
 class OracleInputs:
-    """What is sensed at times t (E,) s: encoders (E,M) rad, place (E,2) px, NaN where silent; and their variances."""
+    """Readings at times t (E,) s: encoders (E,M) rad, place (E,2) px, NaN where absent; and their variances."""
 
     t: Array
     encoders: Array
@@ -33,7 +33,7 @@ class OracleInputs:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """The best a filter and a smoother believe: (E,M) rad each, and the order of motion that evidence chose."""
+    """The filter's and the smoother's beliefs: (E,M) rad each, and the motion's order of greatest evidence."""
 
     filtered: Array
     smoothed: Array
@@ -56,7 +56,7 @@ def known(inputs: OracleInputs) -> Known:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """A filter's way: move (E,D,D) · prior, mean (E,Q,D) · prior_cov, cov (E,Q,D,D) · evidence (Q,) nats."""
+    """A filter's pass: move (E,D,D) · prior, mean (E,Q,D) · prior_cov, cov (E,Q,D,D) · evidence (Q,) nats."""
 
     move: Array
     prior: Array
@@ -94,7 +94,7 @@ def _filtered(inputs: OracleInputs, order: int, densities: Array, path: Array | 
 
 
 def _updated(inputs: OracleInputs, k: int, z: Array, p: Array, at: Array) -> tuple[Array, Array, Array]:
-    """One update with all that is sensed at an instant, the camera linearised at (Q,M) rad; its evidence (Q,) nats."""
+    """One update with all readings of an instant, the camera linearised at (Q,M) rad; its evidence (Q,) nats."""
     joints, (count, size) = inputs.encoders.shape[1], z.shape
     use = np.flatnonzero(np.isfinite(inputs.encoders[k]))
     h, y = [np.tile(np.eye(size)[use], (count, 1, 1))], [np.tile(inputs.encoders[k, use], (count, 1))]

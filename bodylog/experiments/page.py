@@ -1,4 +1,4 @@
-"""The page: readings, verdicts in their tables, the paper's figures redrawn with ours, and the files beside it."""
+"""The page: readings, tables of verdicts, the paper's figures redrawn with ours, and the data files."""
 
 import base64
 import json
@@ -27,7 +27,7 @@ from .tables import claim_tables, counts, outcomes_table, plain_table, readings_
 
 TITLE = "The paper's experiments, reproduced"
 MOST = 8
-"""Lines of a panel that the page shows; data/ has all."""
+"""Most lines of a panel on the page; data/ has all."""
 
 
 def write(
@@ -57,7 +57,7 @@ def withheld(claim: Claim) -> Claim:
 def html(
     trials: Mapping[str, Sequence[Trial]], claims: Mapping[str, Sequence[Claim]], seeds: int, size: str, out: Path
 ) -> str:
-    """The page as text; figures are drawn beside it, those over all seeds taken in."""
+    """The page as text; figures are written beside it, those over all seeds embedded."""
     every = [claim for found in claims.values() for claim in found]
     command = f"bodylog reproduce {' '.join(trials)} -o DIR --seeds {seeds}"
     parts = [
@@ -155,7 +155,7 @@ def _figure(out: Path, title: str, make: Callable[[Path], None]) -> Path:
 
 
 def _json(value: Any) -> str:
-    """JSON, with null for what is not a finite number."""
+    """JSON, with null for numbers that are not finite."""
     return json.dumps(jsonable(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
 
 

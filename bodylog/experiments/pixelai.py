@@ -17,7 +17,7 @@ from .records import Experiment, Readings, Table, Trial, column
 
 FOUR = (*JOINTS, "wrist_1_joint")
 LONGER = 3
-"""Times as long is a body of four joints explored."""
+"""Factor on the exploration's duration for a body of four joints."""
 STARTS = 3
 """Wrong starts per seed and level."""
 PUBLISHED = {"one": (0.26, 0.94), "all": (0.39, 1.57), "elsewhere": (5.0, 18.0)}
@@ -28,7 +28,7 @@ CONVERGED = 2.0
 """Degrees: a start whose every joint ends this near has converged."""
 SIDES = ("printed", "ours")
 IN_USE = {"sigma_n": "learned", "sigma_v": "pixels", "integration": "implicit"}
-"""The reading in which the printed model errs least: vision has the most say, its map is learned."""
+"""The reading with the printed model's least error: vision has the largest weight, its map is learned."""
 _LEAST, _MOST = np.deg2rad([5.0, 10.0])
 _BOX = 0.7 * np.array(ARMS["ur5"].swing[:4])
 
@@ -49,7 +49,7 @@ LEVELS: dict[str, Callable[[np.random.Generator], Array]] = {"one": _one, "all":
 
 
 def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
-    # vision is all there is: at half the size what is left of a still disc's centre would be the joints' error
+    # vision is the only sense: at half size, a still disc's centre error would become the joints' error
     lab = replace(lab, markers={"marker": "blue"}, size=(640, 480))
     observed = lab.observed("wrong-start", seed, duration=2.0, variant="all", marker=True)
     options: dict[str, Any] = {"variant": "four", "marker": True, "duration": LONGER * lab.exploration, "joints": FOUR}

@@ -36,10 +36,10 @@ class Map:
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """What is sensed on the grid t (N,) s: encoders (N,M) rad and place (N,2) px, NaN where silent.
+    """Signals on the grid t (N,) s: encoders (N,M) rad and place (N,2) px, NaN where absent.
 
-    hand (N,2) px while a touch is felt and the hand is seen, NaN else · delay (N,) s of that touch, seen − felt ·
-    true (N,M) rad: the angles as they were.
+    hand (N,2) px while a touch is felt and the hand is seen, else NaN · delay (N,) s of that touch, seen − felt ·
+    true (N,M) rad: the true angles.
     """
 
     t: Array
@@ -56,7 +56,7 @@ class Signals:
 
 @dataclass(frozen=True, eq=False)
 class Touching:
-    """Constants of g_t: a = a_1 a_2 · b_1 in 1/px² · b_2 in 1/s² · σ_t · what s_t is: best, peak or touched."""
+    """Constants of g_t: a = a_1 a_2 · b_1 in 1/px² · b_2 in 1/s² · σ_t · value of s_t: best, peak or touched."""
 
     a: float
     b1: float
@@ -67,7 +67,7 @@ class Touching:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One run: encoders heard (M,) · vision's map, and whether it is heard · unit of σ_v px · touch or None.
+    """One run: encoders used (M,) · vision's map, and whether it is used · unit of σ_v px · touch or None.
 
     integration as in `readings` · start and prior (M,) rad · square: the encoders read x².
     """
@@ -86,7 +86,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """What B runs believed on N instants: x (B,N,M) rad, NaN after divergence · errors (B,N,M+2) of the senses."""
+    """The beliefs of B runs at N instants: x (B,N,M) rad, NaN after divergence · errors (B,N,M+2) of the senses."""
 
     x: Array
     errors: Array
@@ -96,7 +96,7 @@ def believed(signals: Signals, cases: Sequence[Case]) -> Runs:
     """Algorithm 1, its errata applied, for every case on one log."""
     state = _State(signals, cases)
     x, errors = [], []
-    with np.errstate(all="ignore"):  # what diverges ends as NaN
+    with np.errstate(all="ignore"):  # diverging runs end as NaN
         for k in range(len(signals.t)):
             state.step(k)
             x.append(state.x.copy())
@@ -164,7 +164,7 @@ class _State:
         self.x[~(np.abs(self.x).max(axis=1) < FAR)] = np.nan
 
     def _encoders(self, k: int) -> tuple[Array, Array]:
-        """s_p − g_p (B,M), 0 where not heard, and ∂g_p/∂x (B,M), which is diagonal."""
+        """s_p − g_p (B,M), 0 where not used, and ∂g_p/∂x (B,M), which is diagonal."""
         read = self.signals.encoders[k]
         off = read - np.where(self.square, self.x**2, self.x)
         return np.where(self.encoders & np.isfinite(read), off, 0.0), np.where(self.square, 2.0 * self.x, 1.0)

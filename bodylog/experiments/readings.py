@@ -1,7 +1,7 @@
-"""What the paper leaves open: each constant printed without a unit or left out, its possible readings, and sweeps.
+"""Constants that the paper prints without a unit or leaves out: their possible readings, and sweeps.
 
 A reading names a value of one or more constants, as "sigma_n=noise" or "sigma_v=pixels,integration=implicit"; the
-others stay at the centre. A number is taken too where a constant has an axis: "speed=30".
+others stay at the centre. A constant with an axis also takes a number: "speed=30".
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,16 +13,16 @@ CENTRE = "centre"
 """The name of the reading in which every constant is at its centre."""
 
 Reading = Mapping[str, str]
-"""{constant: value's name or number as text}; what is not in it is at the centre."""
+"""{constant: value's name or number as text}; all other constants are at the centre."""
 
 
 @dataclass(frozen=True)
 class Constant:
     """One open constant.
 
-    printed: the paper's words · place: where they stand · values {name: what it means}, the centre first · unit and
-    sweep: of the axis on which numbers are possible, empty where there is none · at {name: number}: where on the axis
-    a named value lies, for those that do not depend on the log · why: why the centre is the centre.
+    printed: the paper's words · place: their place in it · values {name: meaning}, the centre first · unit and
+    sweep: of the axis of possible numbers, empty without one · at {name: number}: place on the axis of
+    named values that do not depend on the log · why: the reason for the centre.
     """
 
     symbol: str
@@ -147,7 +147,7 @@ TOGETHER: tuple[Reading, ...] = (
     {"b_1": "pixels", "a_2": "1", "sigma_t": "1", "sigma_n": "noise", "sigma_v": "widths"},
     {"s_t": "peak", "b_2": "0.3"},
 )
-"""Readings of several constants at once: those in which one constant takes the effect of another away."""
+"""Readings of several constants at once: those in which one constant cancels the effect of another."""
 
 
 def key(reading: Reading) -> str:
@@ -159,7 +159,7 @@ def key(reading: Reading) -> str:
 
 
 def parsed(text: str) -> Reading:
-    """The reading that `key` wrote or a user typed; UsageError names what is possible."""
+    """The reading that `key` wrote or a user typed; UsageError names the possible values."""
     if text == CENTRE:
         return {}
     found: dict[str, str] = {}
@@ -195,25 +195,25 @@ def _number(text: str) -> float | None:
 
 
 def value(reading: Reading, name: str) -> str:
-    """What a reading takes a constant for: a value's name, or a number as text."""
+    """A constant's value in a reading: a value's name, or a number as text."""
     return reading.get(name, _centre(name))
 
 
 def number(reading: Reading, name: str) -> float | None:
-    """Where on the constant's axis the reading lies; None for a named value whose place depends on the log."""
+    """The reading's number on the constant's axis; None for a named value that depends on the log."""
     text = value(reading, name)
     return CONSTANTS[name].at.get(text) if text in CONSTANTS[name].values else float(text)
 
 
 def restricted(tried: Iterable[Reading], names: Iterable[str]) -> tuple[Reading, ...]:
-    """Of some readings those of these constants alone; all where none is, as for one reading that was asked for."""
+    """The readings of these constants alone; all if there are none, as for a single requested reading."""
     held = set(names)
     found = list(tried)
     return tuple(reading for reading in found if set(reading) <= held) or tuple(found)
 
 
 def design(concerned: Iterable[str]) -> tuple[Reading, ...]:
-    """The readings a claim about these constants is judged in: the centre, one at a time, and those together."""
+    """The readings for a claim about these constants: the centre, one constant at a time, and TOGETHER."""
     names = [name for name in CONSTANTS if name in set(concerned)]
     alone: list[Reading] = [{name: v} for name in names for v in list(CONSTANTS[name].values)[1:]]
     together = [reading for reading in TOGETHER if set(reading) <= set(names)]

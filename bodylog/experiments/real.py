@@ -1,6 +1,6 @@
-"""Real robots' measurements, made by others: learned and withheld poses, the published figure beside ours.
+"""Other people's measurements of real robots: learned and withheld poses, the published figure and ours.
 
-The folder is the user's (docs/real.md says where to get the measurements). Each part that is there is judged.
+The folder is the user's (docs/real.md says where to get the measurements). Each part in it is judged.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,7 +29,7 @@ OFTEN = 35
 
 @dataclass(frozen=True)
 class Robot:
-    """One robot's part: the folder's files it needs, who published what, and what is alike and what not."""
+    """One robot's part: its files, the published figure, and the setup's shared and differing parts."""
 
     files: tuple[str, ...]
     run: Callable[[Path, Path], dict[str, float]]
@@ -128,7 +128,7 @@ ROBOTS: dict[str, Robot] = {
 
 
 def fingerprint(data: Path) -> str:
-    """What the folder's tables say, as 12 hex digits; UsageError where it holds no robot's part."""
+    """Digest of the folder's tables, 12 hex digits; UsageError where it holds no robot's part."""
     there = [name for robot in ROBOTS.values() for name in robot.files if (data / name).is_file()]
     if not any(complete(data, robot) for robot in ROBOTS.values()):
         needed = "; ".join(", ".join(robot.files) for robot in ROBOTS.values())
@@ -147,7 +147,7 @@ def complete(data: Path, robot: Robot) -> bool:
 
 
 def run(lab: Lab, seed: int, tried: Readings, data: Path) -> Trial:
-    """Every robot whose part is in the folder; what cannot be judged says why."""
+    """Every robot whose part is in the folder; the others give a reason."""
     figures: dict[str, float] = {}
     missing: dict[str, str] = {}
     for name, robot in ROBOTS.items():

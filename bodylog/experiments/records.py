@@ -1,4 +1,4 @@
-"""What an experiment is, what one seed of it found, and how its figures are read over all seeds."""
+"""Records of an experiment, of one seed's result, and access to figures over all seeds."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,42 +13,42 @@ if TYPE_CHECKING:
     from .lab import Lab
 
 Trial = Mapping[str, Any]
-"""What one seed found, as plain values: {"figures": {name: number}, "panels": [panel, …]}."""
+"""One seed's result as plain values: {"figures": {name: number}, "panels": [panel, …]}."""
 
 
 @dataclass(frozen=True)
 class Readings:
-    """In which readings an experiment is run: those that decide, and those that sweep one constant each."""
+    """The readings of an experiment: those that decide, and those that sweep one constant each."""
 
     decide: tuple[Reading, ...]
     sweep: tuple[tuple[str, float, Reading], ...] = ()
 
     @property
     def all(self) -> tuple[Reading, ...]:
-        """Both, each once."""
+        """Both kinds, each reading once."""
         found = {key(reading): reading for reading in (*self.decide, *(r for _, _, r in self.sweep))}
         return tuple(found.values())
 
     def restricted(self, *names: str) -> "Readings":
-        """Those of these constants alone."""
+        """The readings of these constants alone."""
         return Readings(restricted(self.decide, names), tuple(row for row in self.sweep if row[0] in names))
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The keys of those that decide."""
+        """The keys of the readings that decide."""
         return tuple(key(reading) for reading in self.decide)
 
     @property
     def swept(self) -> tuple[Swept, ...]:
-        """Those that sweep, as `judging.paper` takes them."""
+        """The readings that sweep, as `judging.paper` takes them."""
         return tuple((name, number, key(reading)) for name, number, reading in self.sweep)
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment: name, what it is about, one seed of it in some readings, and what all seeds say.
+    """An experiment: name, title, function that runs one seed in some readings, and claims over all seeds.
 
-    concerned: the open constants that its claims may depend on; none where it does not run the paper's model.
+    concerned: the open constants that its claims may depend on; () if it does not run the paper's model.
     """
 
     name: str
@@ -79,19 +79,19 @@ def by_reading(trials: Sequence[Trial]) -> Figures:
 
 
 def shown(trials: Sequence[Trial]) -> str:
-    """The key of the reading that tables and figures show: the centre, or the one that was asked for."""
+    """The key of the reading that tables and figures show: the centre, or the requested one."""
     found = sorted({name.partition(" | ")[0] for name in trials[0]["figures"] if " | " in name})
     return CENTRE if CENTRE in found or not found else found[0]
 
 
 def column(trials: Sequence[Trial], name: str) -> tuple[float, ...]:
-    """One figure of every seed; null, which JSON has for what is not a number, is NaN."""
+    """One figure of every seed; JSON's null is NaN."""
     found = (trial["figures"][name] for trial in trials)
     return tuple(float("nan") if value is None else float(value) for value in found)
 
 
 def medians(trials: Sequence[Trial], name: str, tried: Iterable[float]) -> dict[float, float]:
-    """Of each number tried the median over the seeds of the figure called `name`, in which {} is the number."""
+    """{number: median over the seeds of the figure `name`, whose {} is that number}."""
     return {value: float(np.nanmedian(column(trials, name.format(f"{value:g}")))) for value in tried}
 
 

@@ -1,7 +1,7 @@
-"""The rubber hand as an instrument: how far our default drifts, by asynchrony, displacement, encoder trust and side.
+"""The rubber hand as an instrument: our default's drift by asynchrony, displacement, encoder noise and side.
 
 The arm is hidden, still and stroked; the image of the stroking hand is delayed and displaced, as with a camera feed.
-What touch does is the belief with touch minus the belief without it.
+Touch's effect is the belief with touch minus the belief without it.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,14 +22,14 @@ from .lab import Lab, ObservedLog
 from .records import Experiment, Readings, Table, Trial, column, panel
 
 NOISE = 0.1
-"""rad: noise added to the encoders in the documented setting: a sense of posture of some degrees, as people have."""
+"""rad: noise added to the encoders in the documented setting: some degrees, like human proprioception."""
 CURVE = 0.6
-"""s: by when the drift has to be gone."""
+"""s: asynchrony at which the drift must be gone."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is swept: asynchronies s · displacements in the recorded one's · noises rad, each about the documented."""
+    """Sweeps: asynchronies s · displacements as multiples of the recorded one · noises rad, around the documented."""
 
     asynchrony: tuple[float, ...] = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)
     displacement: tuple[float, ...] = (0.25, 0.5, 1.0, 1.5)
@@ -41,7 +41,7 @@ SETTING = Setting()
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """What touch moves: t (N,) s · px (N,) sideways · rad (N,M)."""
+    """Touch's effect: t (N,) s · px (N,) sideways · rad (N,M)."""
 
     t: Array
     px: Array
@@ -72,12 +72,12 @@ def displaced(log: ObservedLog, delay: float, share: float, side: float) -> Obse
 
 
 def heeded(features: Features) -> bool:
-    """Whether any touch counts: the estimate refuses to be asked for a sense that has nothing to say."""
+    """Whether any touch has a weight: an estimate rejects a requested sense without readings."""
     return any(pair.weight > LEAST for pair in features.synchrony)
 
 
 def drift(log: ObservedLog, body: BodyModel, alone: Belief) -> Drift:
-    """What touch moves the belief by, `alone` being the belief without it."""
+    """Touch's effect on the belief; `alone` is the belief without touch."""
     touched = ours(log, body, ("encoders", "touch")) if heeded(log.features) else alone
     model = body.senses["effector"]
     before = alone.at(touched.t)
@@ -105,7 +105,7 @@ def run(lab: Lab, seed: int, tried: Readings, setting: Setting = SETTING) -> Tri
 
 
 def _measuring(log: ObservedLog, body: BodyModel, sign: float, seed: int) -> Callable[[float, float, float], Drift]:
-    """drift(noise rad, delay s, share of the displacement); what is believed without touch is found once a noise."""
+    """drift(noise rad, delay s, share of the displacement); the belief without touch is found once per noise."""
     alone: dict[float, tuple[ObservedLog, Belief]] = {}
 
     def measured(noise: float, delay: float, share: float) -> Drift:
@@ -130,7 +130,7 @@ def _named(name: str, found: Drift, sign: float, share: float) -> dict[str, floa
 
 
 def _curve(figures: dict[str, float], setting: Setting) -> dict[str, float]:
-    """Over both sides: the lesser drift in time, the greater at CURVE s or more, the largest rise with asynchrony."""
+    """Over both sides: lesser synchronous drift, greater drift at CURVE s or more, largest rise with asynchrony."""
     both = {side: [figures[f"asynchrony {d:g} {side}"] for d in setting.asynchrony] for side in SIDES}
     mean = np.mean(list(both.values()), axis=0)
     late = [abs(found[k]) for found in both.values() for k, d in enumerate(setting.asynchrony) if d >= CURVE]

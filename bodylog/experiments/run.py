@@ -1,4 +1,4 @@
-"""Every experiment on every seed in its readings, each once: by processes, kept in a folder, judged, on a page."""
+"""Run every experiment on every seed in its readings, in parallel; keep results, judge them, write a page."""
 
 import multiprocessing
 import os
@@ -27,14 +27,14 @@ Task = tuple[str, int]
 """An experiment's name and a seed."""
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is done, how many are done and how many there are."""
+"""Called with the name of a finished run, the number finished and the total."""
 
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What to reproduce and where: experiments by name, seeds, processes, exploration s.
+    """A reproduction's options: output, experiments by name, seeds, processes, exploration s.
 
-    reading: judge in this one alone, not in all · setting: what the rubber hand sweeps · data: real robots' folder.
+    reading: judge in this one alone · setting: the rubber hand's sweeps · data: real robots' folder.
     """
 
     out: Path
@@ -63,24 +63,24 @@ class Reproduction:
         return EXPERIMENTS[name].run(self.lab, seed, tried)
 
     def key(self, name: str) -> str:
-        """What a kept trial depends on beside its experiment and seed."""
+        """Digest of a kept trial's inputs."""
         inputs: dict[str, Any] = {"readings": [readings.key(reading) for reading in self.readings_of(name).all]}
         inputs |= {"setting": repr(self.setting)} if name == "Rubber-hand" else {}
         inputs |= {"data": real.fingerprint(self.data)} if name == "Real" and self.data is not None else {}
         return self.lab.key(inputs)
 
     def seeds_of(self, name: str) -> range:
-        """The seeds of an experiment: measurements have none."""
+        """The seeds of an experiment; measurements have one."""
         return range(1 if name == "Real" else self.seeds)
 
     @property
     def lab(self) -> Lab:
-        """Where its logs and bodies are kept."""
+        """The folder of its logs and bodies."""
         return Lab(self.out / "work", SIZE, self.exploration)
 
 
 def reproduce(wish: Reproduction, progress: Progress | None = None) -> tuple[Claim, ...]:
-    """Run what is not done yet, write index.html, claims.json and cost.json to `out`, give the claims."""
+    """Run missing trials, write index.html, claims.json and cost.json to `out`, return the claims."""
     names = chosen(wish.names)
     _ready(names, wish.data)
     tasks = [(name, seed) for name in names for seed in wish.seeds_of(name)]
@@ -105,7 +105,7 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _ready(names: Sequence[str], data: Path | None) -> None:
-    """UsageError, before minutes are spent, where what is needed at the end is not installed or not given."""
+    """UsageError, before any run, where a requirement is not installed or not given."""
     if "Real" in names:
         if data is None:
             raise UsageError(
@@ -119,18 +119,18 @@ def _ready(names: Sequence[str], data: Path | None) -> None:
 
 
 def trial(wish: Reproduction, name: str, seed: int) -> Trial:
-    """One seed of an experiment, from the folder when it is there."""
+    """One seed of an experiment, from the folder if it is there."""
     found: dict[str, Any] = kept(trial_path(wish, name, seed), lambda: wish.run(name, seed))
     return found
 
 
 def trial_path(wish: Reproduction, name: str, seed: int) -> Path:
-    """Where that is kept."""
+    """The file of a kept trial."""
     return wish.lab.folder / "trials" / f"{name}-{seed}-{wish.key(name)}.json"
 
 
 def _finished(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
-    """Tasks as they are done, those in the folder first; what is timed runs alone, at the end."""
+    """Tasks as they finish, those in the folder first; timed experiments run alone, at the end."""
     there = [task for task in tasks if trial_path(wish, *task).exists()]
     yield from there
     left = [task for task in tasks if task not in there]

@@ -76,7 +76,7 @@ def readings_table() -> str:
 
 
 def outcomes_table(claim: Claim) -> str:
-    """What each reading said of one claim, and each number swept."""
+    """Each reading's and swept number's outcome of one claim."""
     rows = [(escape(key), *_cells(one)) for key, one in claim.outcomes.items()]
     for name, swept in claim.sweeps.items():
         rows += [

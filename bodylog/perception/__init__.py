@@ -1,4 +1,4 @@
-"""From a recording's signals and pictures to what they show: tracks, touches, strokes and their synchrony."""
+"""A recording's images and skin as features: tracks, touches, strokes and their synchrony."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
@@ -20,18 +20,18 @@ __all__ = [
 ]  # fmt: skip
 
 Progress = Callable[[int], None]
-"""Told how many more pictures are done."""
+"""Called with the number of further images done."""
 Frames = Callable[[], Iterator[Frame]]
 
 
 def searcher(settings: Settings, progress: Progress | None = None) -> FrameSearcher:
-    """To watch a log's first camera while the log is read, so that `observe` need not read it again. ConfigError."""
+    """A consumer of the first camera's frames while the log is read, so that `observe` reads them once. ConfigError."""
     features = wanted(settings)
     return colour_tracker.searcher(_colours(features), progress, settings.colours.fast, tracking.trackers(features))
 
 
 def observe(recording: Recording, settings: Settings, progress: Progress | None = None) -> Features:
-    """Everything a recording shows; `progress` is told how many more pictures are done. Raises ConfigError.
+    """The features of a recording; `progress` gets the number of further images done. Raises ConfigError.
 
     Health is kept per track, and for "touch".
     """
@@ -65,7 +65,7 @@ def rigid_groups(features: Mapping[str, Source], tracks: Iterable[str]) -> dict[
 def _tracks(
     recording: Recording, settings: Settings, progress: Progress | None
 ) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...], tuple[int, int] | None]:
-    """Tracks, health and findings of all cameras, and width and height (px) of the first one's pictures if known."""
+    """Tracks, health and findings of all cameras, and the first one's image width and height (px) if known."""
     if recording.frames is None:
         text = "camera: none in this log; no tracks but those that topics and tables have" if recording.tracks else (
             "camera: none in this log; no tracks, no strokes"

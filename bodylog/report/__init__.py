@@ -1,1 +1,1 @@
-"""Report: records as figures, as a page, and as what a viewer shows."""
+"""Report: records as figures, as an HTML page, and as files for viewers."""

@@ -1,4 +1,4 @@
-"""Sim: a robot arm that exists only on the processor, recorded as an ordinary log with the truth beside it."""
+"""Sim: a simulated robot arm, recorded as an ordinary log with ground truth."""
 
 from .record import record
 from .scenarios import SCENARIOS

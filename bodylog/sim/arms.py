@@ -1,4 +1,4 @@
-"""The arms that can be recorded: where their URDF is, where they rest, how far they may swing, what watches them."""
+"""The arms that can be recorded: URDF, home, range of motion, cameras."""
 
 from dataclasses import dataclass
 from math import pi

@@ -1,7 +1,7 @@
-"""The head camera: a pinhole, its noise, and spheres drawn to a fraction of a pixel.
+"""The head camera: a pinhole, its noise, and spheres drawn with subpixel accuracy.
 
-Pixel (0, 0) is the centre of the upper left pixel. The renderer that draws the arm has no anti-aliasing, so what is
-tracked, the end effector and the hand, is drawn here from its exact outline; the arm still hides it by its depth.
+Pixel (0, 0) is the centre of the upper left pixel. The renderer that draws the arm has no anti-aliasing, so
+the tracked end effector and hand are drawn here from their exact outlines; the arm still hides them by its depth.
 """
 
 from dataclasses import dataclass
@@ -69,9 +69,9 @@ def background(camera: Camera, rng: np.random.Generator) -> Array:
 
 
 def sphere(picture: Array, depth: Array, camera: Camera, centre: Array, radius: float, colour: Array) -> float:
-    """Draw a lit sphere into picture (H,W,3) uint8 and depth (H,W) m; what share of its outline is seen, 0..1.
+    """Draw a lit sphere into an image (H,W,3) uint8 and depth (H,W) m; return the visible share of its outline, 0..1.
 
-    The arm less than one radius before its surface does not hide it: that is what carries it. Nothing drawn later
+    The arm less than one radius before its surface carries it and does not hide it. Nothing drawn later
     covers it: draw the nearest first.
     """
     place = camera.rotation @ (centre - camera.position)
@@ -91,7 +91,7 @@ def sphere(picture: Array, depth: Array, camera: Camera, centre: Array, radius: 
 
 
 def _window(camera: Camera, place: Array, radius: float) -> tuple[tuple[slice, slice], float]:
-    """The rows and columns the outline touches, and its whole area in px²."""
+    """The rows and columns that the outline touches, and its whole area in px²."""
     x, y, z = place
     flat = z**2 - radius**2
     middle = np.array([x, y]) * z / flat
@@ -116,26 +116,26 @@ def _shade(
     gradient = 2.0 * (along[..., None] * place[:2] - reach * ray[..., :2]) / camera.focal
     cover = np.clip(0.5 + inside / np.maximum(np.linalg.norm(gradient, axis=-1), 1e-12), 0.0, 1.0)
     distance = (along - np.sqrt(np.maximum(inside, 0.0))) / square
-    # The lamp is at the camera: light from the side would move the centroid of what is bright off the outline's.
+    # The lamp is at the camera: light from the side would shift the bright part's centroid from the outline's.
     facing = (along - distance * square) / (radius * np.sqrt(square))
     return cover, distance, 0.8 + 0.2 * facing
 
 
 def card(picture: Array, depth: Array, box: tuple[int, int, int, int], distance: float) -> None:
-    """A grey card over columns and rows (left, top, right, bottom) hides all that is farther than `distance` m."""
+    """Draw a grey card over columns and rows (left, top, right, bottom) that hides all beyond `distance` m."""
     left, top, right, bottom = box
     picture[top:bottom, left:right] = _CARD
     depth[top:bottom, left:right] = distance
 
 
 def sensor_noise(camera: Camera, rng: np.random.Generator) -> Array:
-    """Camera noise to crop from: larger than a picture, so that every crop differs; int8, 2 grey levels."""
+    """Camera noise to crop from: larger than an image, so that every crop differs; int8, 2 grey levels."""
     noise = rng.standard_normal((camera.height + 64, camera.width + 64, 3), dtype=np.float32)
     return np.asarray(np.rint(noise * _NOISE_GREY).astype(np.int8))
 
 
 def expose(picture: Array, noise: Array, rng: np.random.Generator) -> Array:
-    """The picture (H,W,3) uint8 with a random crop of `noise` added."""
+    """The image (H,W,3) uint8 with a random crop of `noise` added."""
     import cv2
 
     top, left = rng.integers(0, 65, 2)

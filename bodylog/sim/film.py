@@ -1,4 +1,4 @@
-"""The cameras' streams: pictures with what is true at their stamps."""
+"""The cameras' streams: images, and the ground truth at their stamps."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ _SLIDE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """One camera: its topics begin with `under`, those of its truth with `truth`; its clock and its chance."""
+    """One camera: its topics begin with `under`, those of its truth with `truth`; its clock and random numbers."""
 
     camera: cameras.Camera
     under: str
@@ -35,7 +35,7 @@ class _View:
 
 @dataclass(frozen=True, eq=False)
 class _Shot:
-    """The arm without what moves before it: pose, link places and turns, picture and depth."""
+    """The arm without hand and card: pose, link positions and orientations, image and depth."""
 
     q: Array
     places: Array
@@ -55,20 +55,20 @@ class _Card:
 
 
 def camera_items(stage: Stage) -> Iterator[Item]:
-    """The first camera's: images, CameraInfo, /tf, and the truth: effector pose, and the pixel of each thing seen."""
+    """The first camera's streams: images, CameraInfo, /tf; truth: effector pose, pixels of visible things."""
     if stage.mount is not None:
         yield _camera_place()
     yield from _film(stage, _View(stage.camera, "/camera", "/truth", FRAME, 7_000_000, 3), _card(stage))
 
 
 def _camera_place() -> Item:
-    """/tf_static: where a camera on the arm sits on its link."""
+    """/tf_static: the pose of a camera on its link of the arm."""
     place = messages.transforms(START_NS, [(FRAME, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))], parent=LINK)
     return Item(START_NS, START_NS, "/tf_static", place)
 
 
 def side_items(stage: Stage) -> Iterator[Item]:
-    """The same of the camera at the side, if there is one, at instants of its own; it sees past the card."""
+    """The same streams of the camera at the side, if there is one, at other instants; the card does not hide it."""
     if stage.side is None:
         return iter(())
     return _film(stage, _View(stage.side, "/side", "/truth/side", SIDE_FRAME, 29_000_000, 4), None)
@@ -99,7 +99,7 @@ def _shoot(stage: Stage, camera: cameras.Camera, q: Array, wall: Array) -> _Shot
 def _compose(
     stage: Stage, view: _View, shot: _Shot, place: Array, card: _Card | None, t: float
 ) -> tuple[Array, dict[str, Array]]:
-    """The picture at t, and the pixel of each thing that is wholly in sight."""
+    """The image at t, and the pixel of each wholly visible thing."""
     picture, depth = shot.picture.copy(), shot.depth.copy()
     if card is not None:
         _cover(picture, depth, card, t)
@@ -111,7 +111,7 @@ def _compose(
 
 
 def _things(stage: Stage, view: _View, shot: _Shot, place: Array) -> list[tuple[str, Thing]]:
-    """What is drawn (topic of its truth, "" for clutter), nearest first."""
+    """The things to draw with their truth's topics ("" for clutter), nearest first."""
     links = stage.world.links
     things: list[tuple[str, Thing]] = [("", thing) for thing in stage.scene.things]
     feature = _feature(stage, shot)
@@ -172,7 +172,7 @@ def _image(form: str, frame: str, stamp: int, picture: Array) -> object:
 
 
 def _card(stage: Stage) -> _Card | None:
-    """The card that hides the end effector from the head wherever it goes while the plan says covered."""
+    """The card that hides the end effector's whole path from the head's camera while the plan covers it."""
     if stage.wish.plan.covered is None or stage.mount is not None:
         return None
     start, end = stage.wish.plan.covered
@@ -188,7 +188,7 @@ def _card(stage: Stage) -> _Card | None:
 
 
 def _cover(picture: Array, depth: Array, card: _Card, t: float) -> None:
-    """Draw the card where it is at t, if it is in the picture."""
+    """Draw the card at t, if it is in the image."""
     left, top, right, bottom = card.box
     out = max(card.start - t, t - card.end, 0.0) / _SLIDE
     down = round(out * (picture.shape[0] - top))

@@ -1,4 +1,4 @@
-"""Where the other's hand is: it comes from outside the picture, strokes the skin, and leaves another way.
+"""The path of the experimenter's hand: it enters the image, strokes the skin, and leaves another way.
 
 Places are in the frame of the skin's link: z along the limb towards the end effector, the hand above one column of
 cells, the one that faces the camera.
@@ -26,7 +26,7 @@ def facing(view: Array) -> int:
 
 
 def path(contacts: Sequence[Contact], column: int, t: Array, seen: bool) -> Array:
-    """The hand's centre (N,3) m at times t (N,) s, as it is felt or, `seen`, as the picture shows it; NaN when away."""
+    """The hand's centre (N,3) m at times t (N,) s, as felt or, if `seen`, as the image shows it; NaN when away."""
     place = np.full((len(t), 3), np.nan)
     for contact in contacts:
         since = t - contact.onset - (contact.delay if seen else 0.0)

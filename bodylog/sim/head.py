@@ -1,4 +1,4 @@
-"""Joints beside the arm's that move by themselves: a head that turns its camera, a gripper that opens and closes."""
+"""Further joints that move independently: a head that turns its camera, a gripper that opens and closes."""
 
 from dataclasses import dataclass, replace
 
@@ -21,11 +21,11 @@ class Sway:
     phase: Array
 
     def angle(self, t: Array) -> Array:
-        """Where the joint is at t (N,) s: (N,) rad."""
+        """The joint's angle (N,) rad at t (N,) s."""
         return np.asarray(self.swing / 2 * np.sin(t[:, None] * 2 * np.pi / self.periods + self.phase).sum(axis=1))
 
     def rate(self, t: Array) -> Array:
-        """How fast it moves at t (N,) s: (N,) rad/s."""
+        """The joint's speed (N,) rad/s at t (N,) s."""
         w = 2 * np.pi / self.periods
         return np.asarray(self.swing / 2 * (w * np.cos(t[:, None] * w + self.phase)).sum(axis=1))
 
@@ -36,7 +36,7 @@ def head(rng: np.random.Generator) -> Sway:
 
 
 def gripper(rng: np.random.Generator) -> Sway:
-    """A gripper that moves nothing that is seen."""
+    """A gripper, whose motion no image shows."""
     return Sway("gripper_joint", 0.4, np.array([4.1, 1.9]), rng.uniform(0.0, 2 * np.pi, 2))
 
 

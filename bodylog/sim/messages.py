@@ -1,4 +1,4 @@
-"""The messages a recording is made of, as rosbags builds them, and the types this project adds."""
+"""The messages of a recording, built with rosbags, and the message types that this project adds."""
 
 from functools import cache
 from typing import Any
@@ -17,7 +17,7 @@ DEFINITIONS = {
         "geometry_msgs/Point start\ngeometry_msgs/Point end\nfloat64 delay\n"
     ),
 }
-"""What is not in ROS 2 itself; Stroke: start, end in px (z unused), delay = seen − felt in s."""
+"""Definitions that ROS 2 lacks; Stroke: start, end in px (z unused), delay = seen − felt in s."""
 
 _SECOND = 1_000_000_000
 
@@ -63,7 +63,7 @@ def _quaternion(xyzw: Array) -> Any:
 
 
 def joint_state(ns: int, names: list[str], position: Array, velocity: Array) -> Any:
-    """sensor_msgs/JointState in rad and rad/s; effort 0, for nothing is moved by force (and pybag cannot read none)."""
+    """sensor_msgs/JointState in rad and rad/s; effort 0, because nothing simulates forces (pybag needs the field)."""
     effort = np.zeros(len(names))
     return _make("sensor_msgs/msg/JointState", _header(ns, "base_link"), names, position, velocity, effort)
 
@@ -79,7 +79,7 @@ def compressed(ns: int, frame: str, jpeg: Array) -> Any:
 
 
 def raw(ns: int, frame: str, picture: Array) -> Any:
-    """sensor_msgs/Image in rgb8 from picture (H,W,3) uint8 RGB."""
+    """sensor_msgs/Image in rgb8 from an image (H,W,3) uint8 RGB."""
     height, width = picture.shape[:2]
     fields = (height, width, "rgb8", 0, 3 * width, np.ascontiguousarray(picture).ravel())
     return _make("sensor_msgs/msg/Image", _header(ns, frame), *fields)
@@ -111,7 +111,7 @@ def touch(ns: int, seconds: float, cells: Array, peak: float) -> Any:
 
 
 def stroke(ns: int, frame: str, seconds: float, start: Array, end: Array, delay: float) -> Any:
-    """bodylog_msgs/Stroke: `ns` is when the picture shows the contact begin; start, end (2,) px; delay s."""
+    """bodylog_msgs/Stroke: `ns` is the contact's start in the image; start, end (2,) px; delay s."""
     points = (_point(np.append(start, 0.0)), _point(np.append(end, 0.0)))
     return _make("bodylog_msgs/msg/Stroke", _header(ns, frame), _duration(seconds), *points, delay)
 

@@ -17,7 +17,7 @@ class Motion:
 
 
 def still(pose: Array) -> Motion:
-    """No motion: `pose` (M,) for ever."""
+    """No motion: `pose` (M,) at all times."""
     return Motion(lambda t: np.tile(pose, (len(t), 1)), lambda t: np.zeros((len(t), len(pose))))
 
 
@@ -49,7 +49,7 @@ def reaches(points: Array, pace: float) -> Motion:
 
 
 def spread(count: int, swing: Array, rng: np.random.Generator) -> Array:
-    """`count` points (K,M) that fill the box ±swing (M,) evenly: a Kronecker sequence with a random start.
+    """`count` points (K,M) spread evenly over the box ±swing (M,): a Kronecker sequence with a random start.
 
     The step of each of the m axes that move is a power of the root of x^(m+1) = x + 1 (the plastic number's family).
     """

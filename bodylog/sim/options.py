@@ -1,4 +1,4 @@
-"""How a scenario is recorded: what can be asked for, and which requests exclude each other."""
+"""Options of a recording, their possible values, and which exclude each other."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from ..simulation_choices import CAMERAS, FEATURES, IMAGES
 from .plan import Plan, unknown
 
 SIZES = {"ball": 0.05, "tag": 0.08, "none": 0.0}
-"""Diameter of the ball, side of the tag's black square (m), unless another is asked for."""
+"""Default diameter of the ball and side of the tag's black square (m)."""
 
 
 @dataclass(frozen=True)
@@ -15,9 +15,9 @@ class Options:
     """Options of a recording; duration (s), noise (encoders, rad), variant and place: the scenario's own when None.
 
     size: image size in px. marker: a blue ball on the arm, for a second visual sense. cameras: 2 adds one at the side.
-    turning: the head turns, one more joint. feature: what the arm carries, or for a camera on the wrist what stands in
+    turning: the head turns, one more joint. feature: the thing on the arm, or for a camera on the wrist the one in
     the scene; feature_size in m. clutter: things of the feature's colour, a foreign tag and furniture. split_joints:
-    arm, head and gripper publish on topics of their own. camera: where the first camera is mounted.
+    arm, head and gripper publish on separate topics. camera: the first camera's mount.
     """
 
     seed: int = 0
@@ -64,7 +64,7 @@ def check(options: Options) -> None:
 
 
 def check_camera(scenario: str, plan: Plan, options: Options) -> None:
-    """UsageError where what the head's camera shows is asked of a camera on the wrist."""
+    """UsageError for options of the head's camera with a camera on the wrist."""
     if options.camera == "head":
         return
     asked = {"--marker": options.marker, "--cameras": options.cameras > 1, "--turning": options.turning}

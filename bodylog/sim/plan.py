@@ -1,4 +1,4 @@
-"""What a scenario is asked for and what it answers with; the shared ways to build an answer."""
+"""A scenario's request and plan, and shared functions to build a plan."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ Encoders = Callable[[Array, Array, Array], Array]
 
 @dataclass(frozen=True)
 class Request:
-    """What was asked for: everything a scenario may depend on; `rng` is the scenario's own stream of chance."""
+    """The request: everything a scenario may depend on; `rng` is the scenario's own random generator."""
 
     arm: Arm
     duration: float
@@ -37,7 +37,7 @@ class Request:
 class Contact:
     """One stroke on the skin: felt from `onset` for `length` s, along the skin's axis from `start` to `stop` (m).
 
-    The picture shows it `delay` s later.
+    The image shows it `delay` s later.
     """
 
     onset: float
@@ -49,11 +49,11 @@ class Contact:
 
 @dataclass(frozen=True)
 class Plan:
-    """What happens: the motion, how encoders read it, contacts, when the view is covered, where the hand seems to be.
+    """The plan: motion, encoder model, contacts, times of the covered view, displacement of the hand's image.
 
-    `noise` is the encoders' standard deviation (rad) unless the caller says otherwise; `covered` is the (start, end)
-    in s during which a card hides the end effector and `margin` around its path; `aside` displaces the picture of the
-    hand; both in picture widths.
+    `noise` is the encoders' default standard deviation (rad); `covered` is the (start, end)
+    in s during which a card hides the end effector and `margin` around its path; `aside` displaces the image of the
+    hand; both in image widths.
     """
 
     motion: motion.Motion
@@ -86,14 +86,14 @@ def _points(request: Request, swing: Array, pace: float) -> Array:
 
 
 def swing(request: Request, joints: tuple[int, ...] | None = None) -> Array:
-    """The swing (M,) rad of `joints`, or of those that move by default; of all when the request is `full`."""
+    """The swing (M,) rad of `joints`, or of those that move by default; of all if the request is `full`."""
     most = np.array(request.arm.swing)
     chosen = range(len(most)) if request.full else joints or request.arm.moving
     return np.where(np.isin(np.arange(len(most)), list(chosen)), most, 0.0)
 
 
 def strokes(request: Request, first: float, delay: Callable[[], float]) -> tuple[Contact, ...]:
-    """Contacts from `first` s to the end, each 0.7 to 1.1 s long; the next comes when the hand has left the picture."""
+    """Contacts from `first` s to the end, each 0.7 to 1.1 s long, with the hand outside the image between them."""
     contacts: list[Contact] = []
     onset = first
     while True:
@@ -112,7 +112,7 @@ def _contact(onset: float, delay: float, rng: np.random.Generator) -> Contact:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario: what it shows, its plan, its usual duration (s), its variants and places, the first being usual."""
+    """A scenario: description, plan, default duration (s), variants and places, the default first."""
 
     summary: str
     plan: Callable[[Request], Plan]
@@ -131,7 +131,7 @@ def choose(scenario: str, option: str, value: str | None, possible: tuple[str, .
 
 
 def unknown(what: str, value: str, possible: Iterable[str]) -> str:
-    """One line on a name nobody knows: the possible ones, and the nearest if one is near."""
+    """One line about an unknown name: the possible names, and the nearest if one is near."""
     names = list(possible)
     near = get_close_matches(value, names, 1)
     hint = f"; nearest: {near[0]}" if near else ""

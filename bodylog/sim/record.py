@@ -1,4 +1,4 @@
-"""Play a scenario and write what its sensors see, and the truth beside it, as an ordinary ROS 2 MCAP."""
+"""Play a scenario and write its sensors' messages, and the ground truth, as an ordinary ROS 2 MCAP."""
 
 import heapq
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from .stage import Stage, Wish, open_stage
 from .streams import encoder_items, event_items, other_items, skin_items
 
 _CHUNK_BYTES = 1 << 18
-"""Small chunks: a log cut short by a crash loses little."""
+"""Small chunks: a log truncated by a crash loses little."""
 
 
 def record(scenario: str, out: Path, *, progress: Callable[[int], None] | None = None, **options: Any) -> None:
@@ -88,7 +88,7 @@ def _channel(writer: Any, topic: str, kind: str) -> int:
 
 
 def _settings(wish: Wish) -> dict[str, str]:
-    """What the log says of its own making: those of the newer options only where they are used."""
+    """The log's metadata about its recording; newer options only where they are used."""
     options, usual = wish.options, Options()
     newer = ("cameras", "turning", "feature", "feature_size", "clutter", "split_joints", "camera")
     used = {name: getattr(options, name) for name in newer if getattr(options, name) != getattr(usual, name)}

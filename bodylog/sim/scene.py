@@ -1,4 +1,4 @@
-"""What is seen beside the bare arm: the feature it carries or looks at, and clutter that is none of it."""
+"""Things in the scene: the feature that the arm carries or looks at, and clutter."""
 
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -13,21 +13,21 @@ from .tag import Plate
 TAG, FOREIGN_TAG = 7, 3
 _LIME: Colour = (150.0, 200.0, 40.0)
 _POST, _POST_OF_SIDE = 0.05, 0.35
-"""Length (m, and of the tag's side) of the post before the effector that carries a plate clear of the limb."""
+"""Length of the post that holds a plate clear of the limb: m, and in sides of the tag."""
 
 
 class Thing(Protocol):
-    """Something drawn into the image: where its centre is seen, and how much of it is."""
+    """A thing drawn into the image: its centre, and its visible share."""
 
     @property
     def place(self) -> Array:
         """The centre (3,) m."""
 
     def pixel(self, camera: Camera) -> Array:
-        """Where the middle of what is seen lies (2,) px."""
+        """The centre of the thing's image (2,) px."""
 
     def draw(self, picture: Array, depth: Array, camera: Camera) -> float:
-        """Draw it; what share of its outline is seen, 0..1."""
+        """Draw it; return the visible share of its outline, 0..1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Ball:
         return np.asarray(ellipse_centre(camera, self.place[None], self.radius)[0])
 
     def draw(self, picture: Array, depth: Array, camera: Camera) -> float:
-        """Draw it into picture (H,W,3) uint8 and depth (H,W) m; what share of its outline is seen, 0..1."""
+        """Draw it into an image (H,W,3) uint8 and depth (H,W) m; return the visible share of its outline, 0..1."""
         return sphere(picture, depth, camera, self.place, self.radius, np.array(self.colour))
 
 
@@ -63,7 +63,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The feature, in the frame of the `link` that carries it or in the base frame (None), and what stands around."""
+    """The feature, in the frame of the `link` that carries it or in the base frame (None), and the clutter."""
 
     feature: Ball | Plate | None
     link: str | None
@@ -87,7 +87,7 @@ def before_the_wrist(options: Options, camera: Camera, distance: float, rng: np.
 
 
 def _feature(options: Options, place: Array, rotation: Array) -> Ball | Plate | None:
-    """What is to be tracked, in the base frame."""
+    """The tracked thing, in the base frame."""
     if options.feature == "none":
         return None
     if options.feature == "ball":
@@ -95,7 +95,7 @@ def _feature(options: Options, place: Array, rotation: Array) -> Ball | Plate | 
     return Plate(place, rotation, options.side, TAG)
 
 
-# Where things stand: (right, down) in focal lengths from the middle of the image, ahead in m, each moved by chance.
+# Places: (right, down) in focal lengths from the middle of the image, ahead in m, each with a random shift.
 # The arm's feature is about 1.1 m ahead, within 0.3 of the middle; the image ends at 0.55 and 0.41.
 _BALLS = (
     (0.40, 0.28, 0.80, 0.055, GREEN),

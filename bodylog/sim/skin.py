@@ -1,4 +1,4 @@
-"""The skin: 117 proximity cells around the limb next to the end effector, and what they read when a hand comes."""
+"""The skin: 117 proximity cells around the limb next to the end effector, and their readings of a hand."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def places() -> Array:
 
 
 def rest(rng: np.random.Generator) -> Array:
-    """What each cell reads when nothing is near (117,)."""
+    """Each cell's reading when nothing is near (117,)."""
     return _REST + rng.uniform(-0.01, 0.01, CELLS)
 
 

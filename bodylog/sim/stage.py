@@ -1,7 +1,7 @@
-"""What all streams of a recording share: the arm before its camera, the clocks, and chance.
+"""Shared by all streams of a recording: the arm before its camera, the clocks, and random generators.
 
-Every stream has its own clock and its own chance. A header stamp is the instant its values are true for; the log
-time is when a recorder would have received it, a few ms later.
+Every stream has its own clock and random generator. A header stamp is the instant of its values; the log
+time is when a recorder would receive it, a few ms later.
 """
 
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ _CHANCES = {"head": 5, "scene": 6, "gripper": 7}
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """One message on its way: topic, log time, stamp, message."""
+    """One message: topic, log time, stamp, content."""
 
     log_ns: int
     stamp_ns: int
@@ -44,7 +44,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Wish:
-    """What is to be recorded: scenario, options, and what follows from them: arm, plan, duration s, noise rad."""
+    """A recording's scenario and options, and the resulting arm, plan, duration s and noise rad."""
 
     scenario: str
     options: Options
@@ -56,9 +56,9 @@ class Wish:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """All that the streams share: `camera` with head and arm at rest, `column` of skin cells the hand touches.
+    """Shared by all streams: `camera` with head and arm at rest, `column` of skin cells that the hand touches.
 
-    `side` is the camera at the side, `head` what turns `camera`, `mount` what carries it on the arm, or None; `gripper`
+    `side` is the camera at the side, `head` turns `camera`, `mount` carries it on the arm, each or None; `gripper`
     is a joint that no image shows, or None.
     """
 
@@ -73,7 +73,7 @@ class Stage:
     scene: Scene
 
     def seen_from(self, t: float) -> Camera:
-        """The first camera as it stands at t s."""
+        """The first camera at t s."""
         if self.mount is not None:
             return mounted(self.mount, self.camera, *self.world.pose(self.wish.plan.motion.position(np.array([t]))[0]))
         return self.camera if self.head is None else turned(self.camera, float(self.head.angle(np.array([t]))[0]))
@@ -85,11 +85,11 @@ class Stage:
 
     @property
     def image_topic(self) -> str:
-        """The topic of the head's pictures."""
+        """The topic of the head's images."""
         return self.topic("/camera")
 
     def topic(self, under: str) -> str:
-        """The topic of the pictures of the camera whose topics are `under` that."""
+        """The image topic of the camera whose topics begin with `under`."""
         return f"{under}/image/compressed" if self.wish.options.image == "jpeg" else f"{under}/image"
 
     def chance(self, stream: int) -> np.random.Generator:
@@ -99,7 +99,7 @@ class Stage:
 
 @contextmanager
 def open_stage(wish: Wish) -> Iterator[Stage]:
-    """The arm loaded, the camera placed and the scene built; closed afterwards."""
+    """Load the arm, place the camera and build the scene; close all at the end."""
     options = wish.options
     chances = {name: np.random.default_rng([options.seed, stream]) for name, stream in _CHANCES.items()}
     with open_world(wish.arm) as world:
@@ -130,12 +130,12 @@ def stamps_of(duration: float, rate: float, offset_ns: int) -> Iterator[Array]:
 
 
 def log_times(stamps: Array, least_ms: float, most_ms: float, rng: np.random.Generator) -> Array:
-    """When a recorder got what is stamped so (ns since the start): ns since the epoch, least to most ms later."""
+    """Log times (ns since the epoch) of stamps (ns since the start): least to most ms later."""
     return START_NS + stamps + rng.uniform(least_ms * 1e6, most_ms * 1e6, len(stamps)).astype(np.int64)
 
 
 def seen_hand(stage: Stage, t: Array) -> Array:
-    """Where the picture shows the hand's centre (N,3) m, base frame; NaN when away."""
+    """The hand's centre (N,3) m as the image shows it, base frame; NaN when away."""
     places, turns = stage.world.pose(stage.wish.plan.motion.position(t[:1])[0])
     link = stage.world.links.index("skin")
     place = hand.path(stage.wish.plan.contacts, stage.column, t, seen=True) @ matrix(turns[link]).T + places[link]

@@ -20,7 +20,7 @@ _RATE_NOISE = 0.01
 
 @dataclass(frozen=True)
 class _Part:
-    """A part's topic and rate Hz, its first instant and how far its clock is ahead in ns, and its chance."""
+    """A part's topic and rate Hz, first instant and clock offset in ns, and random generator."""
 
     topic: str
     rate: float
@@ -36,7 +36,7 @@ _GRIPPER = _Part("/gripper/joint_states", 50.0, 3_000_000, -7_000_000, 9)
 def encoder_items(stage: Stage) -> Iterator[Item]:
     """The arm's joint states in alphabetical order as the UR driver publishes, and /truth/joint_states of all joints.
 
-    What else moves is in the same messages, unless each part has a topic of its own.
+    Head and gripper are in the same messages, unless each part has its own topic.
     """
     yield Item(START_NS, START_NS, "/robot_description", messages.text(stage.wish.arm.urdf.read_text()))
     rng = stage.chance(1)
@@ -62,13 +62,13 @@ def encoder_items(stage: Stage) -> Iterator[Item]:
 
 
 def _alphabetical(names: Sequence[str]) -> tuple[list[str], Array]:
-    """The names in order, and where each stands among `names`."""
+    """The names in order, and the index of each among `names`."""
     order = np.argsort(names)
     return [names[joint] for joint in order], order
 
 
 def other_items(stage: Stage) -> Iterator[Item]:
-    """/head/joint_states and /gripper/joint_states where each part has a topic, a rate and a clock of its own."""
+    """/head/joint_states and /gripper/joint_states where each part has its own topic, rate and clock."""
     if not stage.wish.options.split_joints:
         return iter(())
     parts = [(stage.head, _HEAD), (stage.gripper, _GRIPPER)]
@@ -89,7 +89,7 @@ def _other(stage: Stage, sway: Sway, part: _Part) -> Iterator[Item]:
 
 
 def _encoders(plan: Plan, t: Array, q: Array, noise: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """What the encoders read and the speed (N,M) they make of it."""
+    """The encoders' readings and their speeds (N,M)."""
     read = plan.encoders(t, q, rng.normal(0.0, 1.0, q.shape) * noise)
     before, after = (plan.encoders(t + h, plan.motion.position(t + h), np.zeros(q.shape)) for h in (-1e-4, 1e-4))
     return read, (after - before) / 2e-4 + rng.normal(0.0, _RATE_NOISE, q.shape)
@@ -107,7 +107,7 @@ def skin_items(stage: Stage) -> Iterator[Item]:
 
 
 def event_items(stage: Stage) -> Iterator[Item]:
-    """/truth/touch and /truth/stroke, each logged when it is over."""
+    """/truth/touch and /truth/stroke, each logged at its end."""
     base = skin.rest(stage.chance(2))
     items = [item for contact in stage.wish.plan.contacts for item in _events(stage, contact, base)]
     yield from sorted(items, key=lambda item: item.log_ns)

@@ -1,4 +1,4 @@
-"""AprilTags on square plates, drawn to a fraction of a pixel; the arm and nearer things hide them."""
+"""AprilTags on square plates, drawn with subpixel accuracy; the arm and nearer things hide them."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -19,7 +19,7 @@ _TEXELS, _FINER = 16, 4
 class Plate:
     """AprilTag 36h11 `number`: centre (3,) m, rotation (3,3) whose columns point right, down and away from the viewer.
 
-    `side` is that of the black square in m, as tag detectors count it.
+    `side` is that of the black square in m, as for tag detectors.
     """
 
     place: Array
@@ -32,7 +32,7 @@ class Plate:
         return replace(self, place=rotation @ self.place + place, rotation=rotation @ self.rotation)
 
     def pixel(self, camera: Camera) -> Array:
-        """Where the centre is seen (2,) px."""
+        """The centre's image (2,) px."""
         return np.asarray(_project(camera, self.place[None])[0])
 
     def corners(self, side: float) -> Array:
@@ -41,7 +41,7 @@ class Plate:
         return np.asarray(self.place + square @ self.rotation[:, :2].T)
 
     def draw(self, picture: Array, depth: Array, camera: Camera) -> float:
-        """Draw the plate into picture (H,W,3) uint8 and depth (H,W) m; what share of it is seen, 0..1."""
+        """Draw the plate into an image (H,W,3) uint8 and depth (H,W) m; return its visible share, 0..1."""
         import cv2
 
         plate = self.corners(self.side * CELLS / (CELLS - 2))
@@ -84,7 +84,7 @@ def texture(number: int) -> Array:
 
 
 def _drawn(number: int, outline: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Grey levels and covered share of the pixels of a window: drawn finer, then averaged over each pixel."""
+    """Grey levels and covered share of the pixels of a window: drawn at a higher resolution, then averaged."""
     import cv2
 
     plate = texture(number)

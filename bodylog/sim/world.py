@@ -47,7 +47,7 @@ class World:
             self.bullet.createMultiBody(0, -1, shape, place, turn, physicsClientId=self.client)
 
     def picture(self, camera: Camera, wall: Array) -> tuple[Array, Array]:
-        """The arm as it stands before `wall` (H,W,3): RGB (H,W,3) uint8 and depth along the view (H,W) m."""
+        """The arm in front of `wall` (H,W,3): RGB (H,W,3) uint8 and depth along the view (H,W) m."""
         import cv2
 
         small = _smaller(camera)
@@ -75,7 +75,7 @@ class World:
 
 
 def how_to_install() -> str:
-    """The command that installs PyBullet on this Python, and what that takes where there is no wheel of it."""
+    """The command that installs PyBullet on this Python, and its requirements where there is no wheel."""
     built = " (it is compiled here: a C++ compiler and about 5 minutes)" if sys.version_info >= (3, 12) else ""
     return f"pip install 'bodylog[sim]'{built}"
 
@@ -125,7 +125,7 @@ def quaternion(rotation: Array) -> Array:
 
 
 def _smaller(camera: Camera) -> Camera:
-    """The camera at half its size where that is fine enough for the arm: a quarter of the time, and softer stairs."""
+    """The camera at half its size where that is fine enough for the arm: a quarter of the time, and smoother edges."""
     if camera.width < _FINE or camera.width % 2 or camera.height % 2:
         return camera
     return replace(camera, width=camera.width // 2, height=camera.height // 2, focal=camera.focal / 2)
@@ -142,7 +142,7 @@ def _view(camera: Camera) -> list[float]:
 def _projection(camera: Camera) -> list[float]:
     """OpenGL projection matrix, column major, of the same pinhole.
 
-    The renderer looks at the lower right corner of each pixel: half a pixel of shift puts its centre there.
+    The renderer samples the lower right corner of each pixel: a shift of half a pixel moves that to its centre.
     """
     matrix = np.zeros((4, 4))
     matrix[0, 0], matrix[1, 1] = 2 * camera.focal / camera.width, 2 * camera.focal / camera.height
@@ -154,7 +154,7 @@ def _projection(camera: Camera) -> list[float]:
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """PyBullet's C code writes its build time to file descriptor 2 when imported: keep it to itself."""
+    """Silence PyBullet's C code, which writes its build time to file descriptor 2 when imported."""
     sys.stderr.flush()
     kept = os.dup(2)
     nothing = os.open(os.devnull, os.O_WRONLY)

@@ -1,4 +1,4 @@
-"""A camera on the arm: it looks along the last link, and what it tracks stands in the scene."""
+"""A camera on the arm: it looks along the last link, at a feature in the scene."""
 
 from dataclasses import dataclass, replace
 
@@ -9,7 +9,7 @@ from .camera import Camera
 from .world import matrix
 
 DISTANCE = 0.55
-"""How far (m) before the camera the feature stands when the arm is at home."""
+"""Distance (m) of the feature from the camera when the arm is at home."""
 
 LINK = "effector"
 """The link that carries the camera."""
@@ -17,11 +17,11 @@ LINK = "effector"
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """Where the camera sits: at the origin of link number `link`, looking along its z."""
+    """The camera's mount: the origin of link number `link`, looking along its z."""
 
     link: int
 
 
 def mounted(mount: Mount, camera: Camera, places: Array, turns: Array) -> Camera:
-    """The camera when links stand at places (L,3) m, turned by turns (L,4) xyzw."""
+    """The camera for links at positions (L,3) m with orientations (L,4) xyzw."""
     return replace(camera, position=places[mount.link], rotation=np.asarray(matrix(turns[mount.link]).T))

@@ -70,7 +70,7 @@ def test_unsteady_delays_are_no_clock_offset() -> None:
     delays = np.random.default_rng(3).uniform(0.0, 1.0, len(touches))
     found, said = match_touches(touches, _strokes(touches, delays.tolist()), clock_offset="auto")
     assert np.allclose([pair.delay for pair in found], delays)
-    assert said[0].severity == "warning" and "none taken off" in said[0].text
+    assert said[0].severity == "warning" and "none subtracted" in said[0].text
 
 
 def test_an_offset_that_is_no_number_is_refused() -> None:

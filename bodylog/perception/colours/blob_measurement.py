@@ -1,4 +1,4 @@
-"""Coloured blobs measured at full resolution: windows of like size side by side on a sheet."""
+"""Coloured blobs measured at full resolution: windows of similar size side by side on a sheet."""
 
 from collections.abc import Sequence
 from math import isfinite
@@ -14,9 +14,9 @@ U, V, STD_U, STD_V, MASS, STRENGTH, BORDER = range(7)
 FIELDS = 7
 PLACES = CANDIDATES + FAINT
 _SMALLEST = 9
-# a straight edge this many radii from a disc's centre cuts a hundredth of its area off
+# a straight edge this many radii from a disc's centre removes 1 % of its area
 _WHOLE = 0.935
-# what is done to a mask reaches 5 px: so many empty ones keep a window's neighbours out of it
+# morphology of a mask reaches 5 px: so many empty ones separate a window from its neighbours
 _GUARD = 5
 _SIZE_RATIO = 1.3
 _PIXELS = 1 << 19
@@ -41,7 +41,7 @@ def _table(found: Sequence[Window], count: int, colour: Range) -> Array:
     """One colour's blobs in the windows of `count` pictures, strongest first: (count,PLACES,FIELDS) px, else NaN.
 
     MASS is the blob's area in px², STRENGTH that times its contrast with the surround in grey levels, BORDER 1 where
-    more of the blob than a hundredth leaves the picture. Faint ones come after CANDIDATES places.
+    more than 1 % of the blob lies outside the image. Faint ones come after CANDIDATES places.
     """
     blobs = np.full((count, PLACES, FIELDS), np.nan)
     clear = _by_picture([window for window in found if not window.faint], colour)
@@ -65,7 +65,7 @@ def _by_picture(found: Sequence[Window], colour: Range) -> dict[int, list[list[f
 
 
 def enlarged(blobs: Array, scale: Array) -> Array:
-    """Blobs (N,…,FIELDS) of pictures shrunk so many times (N,) as they are in the whole pictures."""
+    """Blobs (N,…,FIELDS) of images shrunk by scale (N,), in pixels of the full images."""
     by = scale.reshape(-1, *[1] * (blobs.ndim - 2)).astype(np.float64)
     whole = blobs.copy()
     # pixel k of a shrunk picture is the mean of those from scale k to scale (k + 1) - 1
@@ -76,7 +76,7 @@ def enlarged(blobs: Array, scale: Array) -> Array:
 
 
 def _by_size(found: Sequence[Window]) -> list[list[Window]]:
-    """Windows of like size together, no more than a sheet's worth."""
+    """Windows grouped by size, at most one sheet each."""
     sheets: list[list[Window]] = []
     least = 0
     for side, number in sorted((_side(window), number) for number, window in enumerate(found)):
@@ -125,7 +125,7 @@ def _sheet(some: Sequence[Window]) -> tuple[Array, Array]:
 
 
 def _cut(radius: Array, inside: Array) -> Array:
-    """How far (px) the picture's edge, `inside` px away plus half a pixel, pushes a disc's centre that it may cut.
+    """The shift (px) of a disc's centre by the image's border, `inside` px away plus half a pixel.
 
     A disc of radius r has the share (4√2/3π) (h/r)^1.5 in a low segment of height h, at r from its centre.
     """
@@ -150,7 +150,7 @@ def _largest(sheet: Array, valid: Array, colour: Range) -> Array:
 
 
 def _distinct(rows: list[list[float]], others: list[list[float]]) -> list[list[float]]:
-    """Strongest first, each blob once and none of the others: two coarse pieces of one blob have the same centre."""
+    """Strongest first, each blob once and none of `others`: two coarse pieces of one blob have the same centre."""
     kept: list[list[float]] = []
     for row in sorted(rows, key=lambda row: -row[STRENGTH]):
         if all(abs(row[U] - other[U]) + abs(row[V] - other[V]) > 2 for other in (*others, *kept)):

@@ -1,8 +1,8 @@
-"""Which of many blobs of one colour is the arm's: the one whose place the joints foretell.
+"""Select the arm's blob among several of one colour: the one whose place the joints predict.
 
-A thing that stands still while the joints move is foreign. Of the rest, a smooth function of the joints is fitted to
-candidate places in rounds: each round keeps, of every image, the candidate nearest to what the function foretells,
-within a gate that closes. Several starts are tried, and the one that explains most held-out motion is taken.
+A thing that stands still while the joints move is foreign. A smooth function of the joints is fitted to all other
+candidate places in rounds: each round keeps, in every image, the candidate nearest to the prediction,
+within a shrinking gate. Several starts are tried, and the one that explains most held-out motion wins.
 """
 
 from collections.abc import Iterator
@@ -31,15 +31,15 @@ _NEAR = 1.0
 _FAR = 0.08
 _RARELY = 0.05
 EXPLAINED = 0.25
-"""Less held-out motion than this that the joints explain is that of a foreign thing."""
+"""Least share of held-out motion that the joints explain of a thing on the arm."""
 
 
 class Choice(NamedTuple):
-    """Of each image the candidate that is the arm's (N,), -1 for none.
+    """The arm's candidate in each image (N,), -1 for none.
 
-    place (N,2) px is where the joints foretell it, `spread` (N,) px off, and radius (N,) px how large; `explained` the
-    share (0..1) of its held-out motion that the joints explain, `beyond_chance` of what angles of other times leave;
-    `delay` s by which the camera's stamps lag the joints'.
+    place (N,2) px, `spread` (N,) px and radius (N,) px are predicted from the joints; `explained` is the
+    share (0..1) of its held-out motion that the joints explain, `beyond_chance` of what time-shifted angles leave;
+    `delay` s is the lag of the camera's timestamps.
     """
 
     number: Array
@@ -52,7 +52,7 @@ class Choice(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """Candidates one under the other: image (R,), which of the image's (R,), place (R,2) px, area (R,) px²."""
+    """Candidates as rows: image (R,), number in the image (R,), place (R,2) px, area (R,) px²."""
 
     frame: Array
     which: Array
@@ -64,7 +64,7 @@ class _Rows(NamedTuple):
 
 
 def choose(t: Array, found: Array, joints: Series | None, width: float) -> Choice | None:
-    """The arm's among blobs found (N,candidates,FIELDS) at t (N,) s; None where the joints explain none of them."""
+    """The arm's blobs among those found (N,candidates,FIELDS) at t (N,) s; None where the joints explain none."""
     q = joint_motion.angles(joints, t)
     rows = _rows(found)
     if not q.shape[1] or len(np.unique(rows.frame)) < _FEWEST:
@@ -91,7 +91,7 @@ def _rows(found: Array) -> _Rows:
 
 
 def _within(rows: _Rows, place: Array, width: float) -> float:
-    """The share of rows that lie where another start has put the thing already."""
+    """The share of rows near the places that another start found already."""
     return float((np.hypot(*(rows.place - place[rows.frame]).T) < _SAME_PLACE * width).mean())
 
 
@@ -100,7 +100,7 @@ def _worth(choice: Choice) -> float:
 
 
 def _still(rows: _Rows, q: Array, width: float) -> Array:
-    """Of each row the number of the place where something stands while the joints move, else -1: (R,)."""
+    """For each row the number of the place where something stands still while the joints move, else -1: (R,)."""
     still, left, number = np.full(len(rows.frame), -1), np.ones(len(rows.frame), bool), 0
     cell, most = max(3.0, _SAME_PLACE * width), max(5.0, _OFTEN * len(q))
     moved = np.sqrt(q.var(axis=0).sum())
@@ -122,7 +122,7 @@ def _still(rows: _Rows, q: Array, width: float) -> Array:
 
 
 def _starts(t: Array, found: Array, moving: _Rows, q: Array, width: float) -> Iterator[_Rows]:
-    """Rows to start from: what moves, of it the runs through time that the joints explain, and the best runs alone."""
+    """Rows to start from: runs through time that the joints explain, the best runs alone, then all that moves."""
     packed = np.full(found.shape, np.nan)
     rank = np.arange(len(moving.frame)) - np.searchsorted(moving.frame, moving.frame)
     packed[moving.frame, rank] = found[moving.frame, moving.which]
@@ -141,7 +141,7 @@ def _starts(t: Array, found: Array, moving: _Rows, q: Array, width: float) -> It
 
 
 def _follow(t: Array, rows: _Rows, still: Array, start: _Rows, q: Array, width: float) -> Choice:
-    """The candidates that a function of the angles foretells, from some rows on: of each image the nearest."""
+    """The nearest candidate in each image to a function of the angles, fitted from some rows on."""
     allowed, chosen, last = rows.only(still < 0), start, -1
     usual = _usual(q, chosen, width)
     for _ in range(_ROUNDS):
@@ -172,7 +172,7 @@ def _follow(t: Array, rows: _Rows, still: Array, start: _Rows, q: Array, width: 
 
 
 def _of_right_size(q: Array, chosen: _Rows) -> tuple[Array, _Rows]:
-    """The radius (N,) px that the joints foretell, and the rows that have it: larger ones are two things in one."""
+    """The radius (N,) px predicted from the joints, and the rows that have it: larger ones are two things in one."""
     radius = np.sqrt(chosen.area / np.pi)
     usual = float(np.median(radius))
     kept = np.flatnonzero(np.abs(radius / usual - 1) < 0.5)
@@ -189,7 +189,7 @@ def _of_right_size(q: Array, chosen: _Rows) -> tuple[Array, _Rows]:
 
 
 def _of_predicted_size(rows: _Rows, radius: Array) -> Array:
-    """Which rows (R,) have the area that is foretold of their images by radius (N,) px."""
+    """Which rows (R,) have the area that radius (N,) px predicts for their images."""
     return np.abs(rows.area / (np.pi * radius[rows.frame] ** 2) - 1) < _DIFFERENT
 
 
@@ -198,7 +198,7 @@ def _least(width: float) -> float:
 
 
 def _usual(q: Array, start: _Rows, width: float) -> float:
-    """How far (px) rows usually are from what the angles foretell in held-out time."""
+    """The usual residual (px) of rows in held-out time."""
     order = np.argsort(start.frame, kind="stable")
     rest = joint_motion.residuals(q[start.frame[order]], start.place[order], width)
     return max(_least(width), float(np.median(np.hypot(*rest.T))))
@@ -210,14 +210,14 @@ def _nothing(q: Array) -> Choice:
 
 
 def _predicted(t: Array, chosen: _Rows, std: float, q: Array, width: float) -> tuple[Array, Array]:
-    """Where the joints, and what they leave nearby in time, put the thing in each image: (N,2) px, spread (N,) px."""
+    """The place (N,2) px and spread (N,) px in each image, from the joints and nearby residuals."""
     noise = np.full(len(chosen.frame), std)
     place, spread = joint_motion.regression(q[chosen.frame], chosen.place, noise, width).predict(q)
     return place + _left(t, chosen.frame, chosen.place - place[chosen.frame]), spread
 
 
 def _left(t: Array, frame: Array, rest: Array) -> Array:
-    """The median of what is left (n,2) px within _NEAR s of each image: (N,2); 0 where there is little."""
+    """The median residual (n,2) px within _NEAR s of each image: (N,2); 0 where there are few."""
     low, high = np.searchsorted(t[frame], t - _NEAR), np.searchsorted(t[frame], t + _NEAR, side="right")
     left = np.zeros((len(t), 2))
     for image in np.flatnonzero(high - low >= 5).tolist():
@@ -226,7 +226,7 @@ def _left(t: Array, frame: Array, rest: Array) -> Array:
 
 
 def _nearest(rows: _Rows, place: Array, spread: Array) -> _Rows:
-    """Of each image the row nearest to its place (N,2) px, if within _REACH spreads (N,) px."""
+    """The row of each image nearest to its place (N,2) px, if within _REACH spreads (N,) px."""
     away = np.hypot(*(rows.place - place[rows.frame]).T)
     order = np.lexsort((away, rows.frame))
     first = order[np.unique(rows.frame[order], return_index=True)[1]]
@@ -234,7 +234,7 @@ def _nearest(rows: _Rows, place: Array, spread: Array) -> _Rows:
 
 
 def _foreign(rows: _Rows, still: Array, place: Array, width: float) -> Array:
-    """Which rows (R,) stand where something also stands while the arm's thing is foretold far away."""
+    """Which rows (R,) lie where something also stands while the arm's thing is predicted far away."""
     foreign = np.zeros(len(still), bool)
     for number in range(int(still.max(initial=-1)) + 1):
         there = still == number

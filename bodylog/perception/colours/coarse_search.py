@@ -1,4 +1,4 @@
-"""Where each colour is in a picture: a search of every few pixels, and a window about each find."""
+"""Find each colour in an image: a search of every few pixels, and a window around each find."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -12,16 +12,16 @@ from .hsv_ranges import Range, mask
 
 CANDIDATES = 4
 FAINT = 8
-"""Places for what is much smaller than the largest find, or one too many, beside the CANDIDATES."""
+"""Further finds beside the CANDIDATES: much smaller than the largest, or surplus ones."""
 _COARSE_WIDTH = 128
 _SMALL = 0.25
 _MARGIN = 8
 
 
 class Window(NamedTuple):
-    """Pixels (h,w,3) BGR about one find: of which picture and colour, from where, in what size (W,H) px of picture.
+    """Pixels (h,w,3) BGR around one find: its image and colour, left and top px, the image's size (W,H) px.
 
-    `faint` where it is much smaller than the largest, or one too many.
+    `faint`: much smaller than the largest find, or surplus.
     """
 
     picture: int
@@ -43,9 +43,9 @@ def gray(image: Array) -> Array:
 
 
 def windows(images: Mapping[int, Array], ranges: Sequence[Range]) -> Iterator[Window]:
-    """Windows about what may be each colour in images (H,W,3) BGR, by the numbers of their pictures.
+    """Windows around finds of each colour in images {number: (H,W,3) BGR}.
 
-    At most CANDIDATES and FAINT ones of each colour in a picture, without the images: they may go once all are taken.
+    At most CANDIDATES and FAINT ones per colour and image; they are copies, so the images may be freed.
     """
     of_shape: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
     images = images if ranges else {}
@@ -78,9 +78,9 @@ def _table(ranges: tuple[Range, ...]) -> Array:
 
 
 def _coarse(images: Sequence[Array], step: int, ranges: tuple[Range, ...]) -> Array:
-    """Every step-th pixel of every step-th row of images alike, a bit for each range: (n,H/step+1,W/step).
+    """Every step-th pixel of every step-th row of images of one shape, a bit for each range: (n,H/step+1,W/step).
 
-    The last row of each is empty, so that nothing goes on from one to the next.
+    The last row of each is empty, so that no component continues into the next image.
     """
     import cv2
 
@@ -94,7 +94,7 @@ def _coarse(images: Sequence[Array], step: int, ranges: tuple[Range, ...]) -> Ar
 
 
 def _turned(image: Array) -> bool:
-    """Whether a picture was kept as RGB and is seen backwards."""
+    """Whether an image is a reversed view of RGB."""
     return image.strides[2] == -1
 
 
@@ -109,19 +109,19 @@ def _picked(image: Array, step: int) -> Array:
     height, width = max(1, image.shape[0] // step), image.shape[1] // step
     if step == 1 or not image.flags.c_contiguous:
         return image[::step, ::step][:height, :width]
-    # four bytes at a time is a third of the work; the last pixel taken has another after it, as step is above 1
+    # four bytes at a time is a third of the work; a further pixel follows the last one taken, as step is above 1
     return np.ndarray((height, width), np.uint32, image.data, 0, (step * image.strides[0], step * image.strides[1]))
 
 
 def _copy(image: Array) -> Array:
-    """A picture's pixels in memory of their own, BGR also where they were kept as RGB and are seen backwards."""
+    """A copy of an image's pixels in BGR, also where the image is a reversed view of RGB."""
     import cv2
 
     return np.asarray(cv2.cvtColor(image[..., ::-1], cv2.COLOR_RGB2BGR)) if _turned(image) else image.copy()
 
 
 def _boxes(seen: Array) -> Iterator[tuple[int, tuple[int, int, int, int], bool]]:
-    """Of the largest components of each mask (n,h,w), whose last rows are empty: which mask; x, y, w, h; if faint."""
+    """The largest components of each mask (n,h,w), whose last rows are empty: mask; x, y, w, h; whether faint."""
     import cv2
 
     rows = seen.shape[1]
@@ -133,6 +133,6 @@ def _boxes(seen: Array) -> Iterator[tuple[int, tuple[int, int, int, int], bool]]
         clear = sum(len(outline) >= _SMALL * len(largest[0]) for outline in largest[:CANDIDATES])
         for number, outline in enumerate(largest[: clear + FAINT]):
             x, y, w, h = cv2.boundingRect(outline)
-            # single pixels are grain: the search lets in what is only near a colour
+            # single pixels are noise: the search is loose around a colour
             if number < clear or min(w, h) > 1:
                 yield which, (x, y - which * rows, w, h), number >= clear

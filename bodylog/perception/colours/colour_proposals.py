@@ -1,4 +1,4 @@
-"""Which colours some images of a log offer: the peaks of their hues."""
+"""Colours that some images of a log offer: the peaks of their hue histogram."""
 
 from collections.abc import Callable, Iterable, Iterator
 
@@ -14,7 +14,7 @@ _SHARE = 2e-4
 
 
 def picked(recording: Recording) -> Callable[[], Iterator[tuple[float, Array]]]:
-    """Times and pictures, evenly picked, at most _LOOKED_AT of them, decoded one by one; what cannot be is left out."""
+    """Times and images, at most _LOOKED_AT evenly spaced, decoded one by one; undecodable ones are left out."""
     frames = recording.frames or (lambda: iter(()))
     every = -(-sum(1 for _ in frames()) // _LOOKED_AT)
 
@@ -30,7 +30,7 @@ def picked(recording: Recording) -> Callable[[], Iterator[tuple[float, Array]]]:
 
 
 def why_none(recording: Recording) -> str:
-    """Why there are no pictures: there are none, or the first cannot be decoded."""
+    """Why there are no images: the log has none, or the first cannot be decoded."""
     for frame in recording.frames() if recording.frames else ():
         try:
             frame.decode(1)

@@ -1,4 +1,4 @@
-"""Pictures to colour tracks: where each colour was, what became of every picture, and what else there was to see."""
+"""Images to colour tracks: each colour's places, counts of all images, and which other colours were seen."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextvars import ContextVar
@@ -17,10 +17,10 @@ from .coarse_search import CANDIDATES
 from .hsv_ranges import Range, covered, hues, nearest, resolve
 
 THREADS: ContextVar[int] = ContextVar("threads", default=2)
-"""How many threads look at pictures: one where whole logs are worked on side by side."""
+"""Threads that search images: one where several logs are processed in parallel."""
 _NOTABLE = 1e-4
 _SEVERAL = 0.02
-"""Share of the pictures that show several things of a colour from which on the joints decide between them."""
+"""Share of the images with several things of a colour above which the joints decide between them."""
 
 Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
 
@@ -31,9 +31,9 @@ def searcher(
     fast: bool,
     trackers: Sequence[Tracker] = (),
 ) -> FrameSearcher:
-    """To be told of pictures; `progress` is told how many more are done, `fast` looks at compressed ones at half scale.
+    """A consumer of images; `progress` gets the number of further ones done, `fast` searches them at half scale.
 
-    `trackers` look at the same pictures. Raises ConfigError for a colour that means nothing.
+    `trackers` get the same images. Raises ConfigError for an unknown colour.
     """
     ranges = [resolve(colour, name) for name, colour in colours.items()]
     return FrameSearcher(ranges, progress, fast, THREADS.get(), trackers)
@@ -46,7 +46,7 @@ def search(
     fast: bool = False,
     trackers: Sequence[Tracker] = (),
 ) -> Seen:
-    """What pictures show, which are looked at now, as by `looking`."""
+    """Search images now, as by `searcher`."""
     t: list[float] = []
     source_ns: list[int] = []
     with searcher(colours, progress, fast, trackers) as searching:
@@ -64,7 +64,7 @@ def track(
     progress: Callable[[int], None] | None = None,
     fast: bool = False,
 ) -> Tracks:
-    """The `tracks` of a `look`."""
+    """The `tracks` of a `search`."""
     return tracks(search(frames, colours, progress, fast), frames, colours)
 
 
@@ -76,8 +76,8 @@ def tracks(
 ) -> Tracks:
     """One Series (u, v in px with std; NaN where not seen) per named colour, its Health, and findings.
 
-    Of several things of one colour the one is taken that moves as the `joints` do; the hand is nobody's joint. Into
-    some frames one more look is taken where a colour was never seen, or where two things of it run together.
+    Among several things of one colour, the one that moves with the `joints` is the target, except the hand's. Some
+    frames are searched again where a colour was never seen, or where two things of it overlap.
     """
     t, source_ns, found, broken, width = seen[:5]
     tracks, health, findings = {}, {}, []
@@ -115,7 +115,7 @@ def _chosen(
 
 
 def _why(frames: Iterator[Frame], number: int) -> str:
-    """What is wrong with a frame."""
+    """Why a frame cannot be decoded."""
     try:
         next(islice(frames, number, None)).decode(1)
     except InputError as problem:
@@ -156,7 +156,7 @@ def _saturated(frames: Iterator[Frame], count: int) -> dict[str, float]:
 
 
 def _unseen(name: str, colour: Colour, count: int, instead: Mapping[str, float], taken: Collection[str]) -> Finding:
-    """What was seen instead; of it the first colour that no feature is set to is proposed."""
+    """Which colours were seen instead; the first one without a feature is proposed."""
     wanted = f"'{colour}'" if isinstance(colour, str) else str(dict(colour))
     shares = {other: share for other, share in instead.items() if share >= _NOTABLE}
     others = ", ".join(f"{other} ({share:.2%} of the pixels)" for other, share in shares.items())

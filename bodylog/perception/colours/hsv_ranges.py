@@ -1,4 +1,4 @@
-"""Colours by name: what a name means in OpenCV's HSV (h 0..179, s and v 0..255)."""
+"""Colour names as ranges of OpenCV's HSV (h 0..179, s and v 0..255)."""
 
 from dataclasses import dataclass
 
@@ -18,20 +18,20 @@ _NAMED: dict[str, tuple[int, int]] = {
     "magenta": (133, 172),
 }
 SATURATION, VALUE = 90, 50
-"""What is less saturated, or darker, has no colour."""
+"""Least saturation and value of a coloured pixel."""
 
 Bound = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
 class Range:
-    """What counts as a colour: one or, where the hue wraps round, two boxes of HSV (low, high), both ends included."""
+    """A colour's range: one box of HSV (low, high), or two where the hue wraps around; both ends included."""
 
     parts: tuple[tuple[Bound, Bound], ...]
 
 
 def between(low: Bound, high: Bound) -> Range:
-    """The range from low to high, round the end of the hues where low hue is above high hue."""
+    """The range from low to high, across hue 179 where the low hue is above the high hue."""
     if low[0] <= high[0]:
         return Range(((low, high),))
     return Range(((low, (180, high[1], high[2])), ((0, low[1], low[2]), high)))
@@ -65,7 +65,7 @@ def mask(hsv: Array, colour: Range) -> Array:
 
 
 def hues(image: Array) -> tuple[Array, int]:
-    """How many of a picture's pixels, one in 16, have each hue (180,), where saturated; and how many those are."""
+    """The hue histogram (180,) of an image's saturated pixels, one in 16, and the number of pixels counted."""
     import cv2
 
     hsv = cv2.cvtColor(np.ascontiguousarray(image[::4, ::4]), cv2.COLOR_BGR2HSV)

@@ -1,4 +1,4 @@
-"""The centre of a ball from what can be seen of its outline, where something of its own colour touches or hides it."""
+"""The centre of a ball from its visible outline, where something of its own colour touches or hides it."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -18,7 +18,7 @@ _LEAST = 0.15
 _AGREE = 0.6
 """px: edges this far from a circle are half as good as those upon it."""
 _PULL = 3.0
-"""Rays that a circle at the farthest shift must have more than one at none."""
+"""Further rays that a circle at the farthest shift needs, compared with one at none."""
 
 
 class Outline(NamedTuple):
@@ -33,7 +33,7 @@ class Outline(NamedTuple):
 def fit(image: Array, centre: Array, radius: float, reach: float) -> Outline | None:
     """The circle of `radius` px whose edge an image (H,W,3) shows within `reach` px of that about `centre` (2,) px.
 
-    None where too little of it is to be seen.
+    None where too little of it is visible.
     """
     scatter, count = _LEAST, 0
     for turn in range(_TURNS):
@@ -68,7 +68,7 @@ def _directions() -> Array:
 
 
 def _edges(image: Array, centre: Array, radius: float, reach: float) -> Array:
-    """How far out (px) each ray crosses half way from the ball's colour to what surrounds it there; NaN without edge.
+    """The radius (px) at which each ray crosses half way from the ball's colour to its surround; NaN without an edge.
 
     Both colours are the ray's own, so that shading across the ball moves no edge.
     """

@@ -1,4 +1,4 @@
-"""A second look where the arm's blob runs into another of its colour or is partly hidden: its outline decides."""
+"""A second search where the arm's blob overlaps another of its colour or is partly hidden: its outline decides."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -16,7 +16,7 @@ from .hsv_ranges import Range, mask
 
 _COMPARED, _FEWEST = 60, 10
 _FARTHEST = 0.02
-"""Share of the image width by which the joints may be wrong about where to look."""
+"""Largest error of the predicted place, as a share of the image width."""
 _COLOURED = 0.7
 
 
@@ -25,7 +25,7 @@ def settle(
 ) -> Array:
     """The arm's blob in each image, (N,1,FIELDS) px, NaN for none: by its outline where no blob of its own was found.
 
-    `found` (N,candidates,FIELDS) are those chosen from.
+    `found` (N,candidates,FIELDS) are the candidates.
     """
     rows = np.full((len(found), FIELDS), np.nan)
     there = choice.number >= 0
@@ -37,7 +37,7 @@ def settle(
     circles = {k: _circle(parts[k], choice.radius[k], colour) for k in compared.tolist() if k in parts}
     known = {k: circle for k, circle in circles.items() if circle}
     if len(known) >= _FEWEST:
-        # a blob's area says where its colour ends, its outline where half of the light does
+        # a blob's area ends where its colour does, its outline at half of the light
         excess = float(np.median([circle.excess for circle in known.values()]))
         offset = np.array([(circle.u, circle.v) - rows[k, [U, V]] for k, circle in known.items()])
         strength = float(np.median(rows[sure, STRENGTH]))
@@ -50,7 +50,7 @@ def settle(
 def _row(circle: outline.Outline, offset: Array, radius: float, strength: float) -> Array:
     """The fields of a blob whose outline was fitted, as if its centre were measured like those of whole blobs.
 
-    `offset` (n,2) px is what outlines' centres lie beyond those of whole blobs.
+    `offset` (n,2) px are the outlines' centres minus those of whole blobs.
     """
     middle = np.median(offset, axis=0)
     row = np.zeros(FIELDS)
@@ -61,7 +61,7 @@ def _row(circle: outline.Outline, offset: Array, radius: float, strength: float)
 
 
 class _Part(NamedTuple):
-    """Pixels (h,w,3) BGR about where the ball is foretold: their corner (2,), that place (2,) and its spread, px."""
+    """Pixels (h,w,3) BGR around the predicted ball: their corner (2,), the predicted place (2,) and its spread, px."""
 
     pixels: Array
     corner: Array
@@ -70,7 +70,7 @@ class _Part(NamedTuple):
 
 
 def _parts(frames: Callable[[], Iterator[Frame]], wanted: set[int], choice: Choice) -> dict[int, _Part]:
-    """Of some images what is about the place foretold, by their numbers."""
+    """The parts of some images around the predicted place, by image number."""
     found: dict[int, _Part] = {}
     last = max(wanted, default=-1)
     for number, frame in enumerate(frames()) if wanted else ():
@@ -91,7 +91,7 @@ def _part(image: Array, choice: Choice, number: int) -> _Part:
 
 
 def _circle(part: _Part, radius: float, colour: Range) -> outline.Outline | None:
-    """The outline (px of the image) of a ball of that radius about where it is foretold, if whole and of its colour."""
+    """The outline (px of the image) of a ball of that radius near its predicted place, if whole and of its colour."""
     import cv2
 
     if min(part.pixels.shape[:2]) < 2 * radius:

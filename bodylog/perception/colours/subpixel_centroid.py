@@ -1,4 +1,4 @@
-"""The centres of blobs to a fraction of a pixel, and how far they may be off.
+"""The centres of blobs to a fraction of a pixel, and their standard deviations.
 
 The centre is that of the blob's mixing weight: how far each pixel lies from the surround's colour towards the blob's
 own, which an anti-aliased or blurred edge crosses linearly and a mask does not. K blobs are measured at once, each in
@@ -17,10 +17,10 @@ _CORRELATED = 9.0
 _FEWEST, _MANY = 12, 1000
 _QUIETEST = 0.001
 _ROUNDING = 1 / 12
-# share of a lit ball's shift that a plane leaves: rms over lights 15 to 75 degrees off the view, with 30 to 70 % of the
+# share of a lit ball's shift that a plane leaves: rms over lights 15 to 75 degrees off the view, 30 to 70 % of the
 # light from everywhere, and radii of 6 to 14 px
 _UNEVEN = 0.16
-# share of the shift between these levels that a lit ball's centre is off by: rms over 300 drawn ones, 6 to 14 px, under
+# error of a lit ball's centre as a share of the shift between these levels: rms over 300 drawn ones, 6 to 14 px, under
 # one light or two 15 to 75 degrees off the view, with 30 to 70 % of the light from everywhere, noise and compression
 _LOW, _HIGH, _LEVELS = 0.3, 0.7, 0.6
 # shifts that noise makes on flat discs are 2 to 4 times what the outline's ripple says
@@ -59,7 +59,7 @@ def measure(sheet: Array, core: Array, valid: Array) -> tuple[Array, Array, Arra
 
 
 def _zones(core: Array, valid: Array) -> tuple[Array, Array, Array]:
-    """Surely inside, perhaps inside, and surely outside each blob: (S,K,S) uint8 each."""
+    """Masks of surely inside, perhaps inside and surely outside each blob: (S,K,S) uint8 each."""
     import cv2
 
     flat = core.reshape(len(core), -1)
@@ -100,20 +100,20 @@ def _powers(size: int) -> Array:
 def _mixing(sheet: Array, inner: Array, rim: Array, ground: Array) -> tuple[Array, Array]:
     """0 at the surround's mean colour, 1 at the blob's, linear between and beyond (K,S,S); how far apart they are (K,).
 
-    Fisher's discriminant: the direction in colour that tells the two apart best given how the blob scatters and the
-    rim round it, so that what stands beside the blob, or bleeds into it as JPEG's colours do, weighs little. Pixels
-    the edge mixes lie on the line between the two colours, and scatter along that line turns no direction.
+    Fisher's discriminant: the direction in colour that separates the two best given the scatter of the blob and the
+    rim around it, so that things beside the blob, and JPEG's bleeding colours, weigh little. Pixels
+    mixed by the edge lie on the line between the two colours; scatter along that line turns no direction.
     """
     colours, every = _planes(sheet), 2 if inner[0].size > _MANY else 1
     some, inner, rim = colours[:, :, ::every, ::every], inner[:, ::every, ::every], rim[:, ::every, ::every]
     blob = _mean(some, inner)
     away = some - blob.astype(np.float32)[:, :, None, None]
     step, scatter = blob - ground, _scatter(away, inner) + _scatter(away, rim)
-    # as much again of white noise keeps the direction sane where the colours hardly scatter
+    # as much white noise again keeps the direction stable where the colours hardly scatter
     white = np.maximum(np.trace(scatter, axis1=1, axis2=2) / 3, 1e-3)
     axis = np.linalg.solve(scatter + white[:, None, None] * np.eye(3), step[:, :, None])[:, :, 0]
     axis /= np.maximum((axis * step).sum(axis=1), 1e-6)[:, None]
-    # eight lines at a time: too little for a linear algebra library to start threads of its own among ours
+    # eight lines at a time: too few for BLAS to start threads of its own
     lines = colours.reshape(len(colours), 3, -1, 8 * colours.shape[3]).swapaxes(1, 2)
     mixing = (axis.astype(np.float32)[:, None, None] @ lines).reshape(len(colours), *colours.shape[2:])
     mixing -= (ground * axis).sum(axis=1).astype(np.float32)[:, None, None]
@@ -121,7 +121,7 @@ def _mixing(sheet: Array, inner: Array, rim: Array, ground: Array) -> tuple[Arra
 
 
 def _planes(sheet: Array, every: int = 1) -> Array:
-    """The channels of every so manyth colour of squares (s,K,t,3) uint8: (K,3,s/every,t/every) float32, one by one."""
+    """The channels of every `every`-th pixel of squares (s,K,t,3) uint8: (K,3,s/every,t/every) float32, one by one."""
     import cv2
 
     lines = np.ascontiguousarray(sheet[::every])
@@ -149,9 +149,9 @@ def _mean(colours: Array, where: Array) -> Array:
 
 
 def _shade(mixing: Array, inner: Array, x: Array, rounding: Array) -> tuple[Array, Array, Array]:
-    """The mean mixing of each blob (K,), the plane of it (K,S,S), and whether light grades it beyond chance (K,).
+    """Each blob's mean mixing (K,), its plane (K,S,S), and whether shading is significant (K,).
 
-    `rounding` (K,) is the variance of mixing that whole grey levels alone make.
+    `rounding` (K,) is the variance of mixing from whole grey levels alone.
     """
     inside = mixing * inner
     own, graded = _sums(inner, x), _sums(inside, x)
@@ -174,7 +174,7 @@ def _shade(mixing: Array, inner: Array, x: Array, rounding: Array) -> tuple[Arra
 
 
 def _unlevel(share: Array, grown: Array, x: Array) -> Array:
-    """How far (px, K) the centre moves from where the blob's share (K,S,S) is above a low level to above a high one.
+    """The shift (px, K) of the centre from the part whose share (K,S,S) is above a low level to that above a high one.
 
     An edge that only blur softens is cut symmetrically at every level; light that fades towards a side is not.
     """
@@ -188,7 +188,7 @@ def _sums(field: Array, x: Array) -> Array:
 
 
 def _weight(mixing: Array, grown: Array) -> Array:
-    """Covered share of each pixel, with what is little set to none: (K,S,S) 0..1."""
+    """The covered share of each pixel, small ones set to 0: (K,S,S) 0..1."""
     mixing -= np.float32(_DEADBAND)
     mixing *= np.float32(1 / (_FULL - _DEADBAND))
     np.clip(mixing, 0, 1, out=mixing)
@@ -197,7 +197,7 @@ def _weight(mixing: Array, grown: Array) -> Array:
 
 
 def _centroid(weight: Array, x: Array) -> Array:
-    """Sum of the weights of each square and their centre u, v: (3,K); NaN where there is none."""
+    """Sum of the weights of each square and their centre u, v: (3,K); NaN for squares without weight."""
     sums = _sums(weight, x[:2])
     mass = np.where(sums[:, 0, 0] > 0, sums[:, 0, 0], np.nan)
     return np.stack([mass, sums[:, 0, 1] / mass, sums[:, 1, 0] / mass])
@@ -207,7 +207,7 @@ def _ripple(weight: Array, mass: Array, u: Array, v: Array) -> Array:
     """Variance (px², K) of one coordinate of each centre, from the waves of orders 3 and 5 round the blob's outline.
 
     A wave of order 1 is a shift of the centre. An outline that is its own mirror image through the centre has no waves
-    of odd order, so those are what noise, compression and the pixels' grid make; order 1 gets as much as they do.
+    of odd order, so noise, compression and the pixel grid make those; order 1 gets as much as they do.
     """
     x, y = (np.arange(weight.shape[1]) - np.stack([u, v])[:, :, None]).astype(np.float32)
     square = (y * y)[:, :, None] + (x * x)[:, None, :] + np.float32(1e-6)

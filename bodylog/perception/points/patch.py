@@ -1,4 +1,4 @@
-"""A patch of one image laid over other images: an affine map, by least squares, with its covariance."""
+"""A patch of one image aligned with other images: an affine map, by least squares, with its covariance."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,16 +10,16 @@ from ..tags.quads import sample
 
 _TURNS, _STILL = 15, 0.01
 _EXCESS = 2.5
-"""Variance beside that of independent pixels: neighbouring pixels of an image err alike."""
+"""Factor on the variance of independent pixels: errors of neighbouring pixels are correlated."""
 _FLOOR, _STRETCHED = 0.015, 0.08
-"""px of the first image: what all pixels of a patch may err by together, and what is added per factor e by which it is
-stretched or shrunk: it was not seen so exactly then, or is not now."""
+"""px of the first image: the error shared by all pixels of a patch, and its increase per factor e of stretch
+or shrinkage."""
 _LEAST_EDGE = 20.0
-"""Sum of squared gradients across the patch's weakest direction, per px and gray level squared: below, it may slide."""
+"""Least sum of squared gradients across the patch's weakest direction, per px and gray level squared."""
 
 
 class Laid(NamedTuple):
-    """Where a patch lies: map (2,3) from px about its middle to px · alike: correlation, 0..1 · cov (2,2) px²."""
+    """A patch's placement: map (2,3) from px around its middle to px · correlation 0..1 · cov (2,2) px²."""
 
     map: Array
     correlation: float
@@ -33,7 +33,7 @@ class Laid(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """The pixels within `half` px of a place: grid (n,2) px about it · levels (n,) · solve (8,n), what fits a patch."""
+    """The pixels within `half` px of a place: grid (n,2) px around it · levels (n,) · solve (8,n): least squares."""
 
     half: int
     grid: Array
@@ -44,7 +44,7 @@ class Patch:
 
     @property
     def edge(self) -> float:
-        """How well the patch is held in its weakest direction: below 1 it shows nothing to follow."""
+        """The patch's texture in its weakest direction: below 1 it cannot be tracked."""
         gradient = self.columns[:, 4:6]
         return float(np.linalg.eigvalsh(gradient.T @ gradient)[0] / len(self.grid) / _LEAST_EDGE)
 
@@ -70,9 +70,9 @@ def at(uv: Array) -> Array:
 
 
 def lay(gray: Array, patch: Patch, begin: Array) -> Laid | None:
-    """The patch where it fits the image best near a map (2,3), in any light; None where it leaves the image.
+    """Align the patch with the image near a map (2,3), in any light; None where it leaves the image.
 
-    None also where it would be turned too far from the camera. Inverse compositional Gauss-Newton (Baker & Matthews
+    None also where it would turn too far from the camera. Inverse compositional Gauss-Newton (Baker & Matthews
     2004) with gain and offset of the light.
     """
     map_ = begin
@@ -99,7 +99,7 @@ def lay(gray: Array, patch: Patch, begin: Array) -> Laid | None:
 
 
 def drawn(patch: Patch, map_: Array) -> Array:
-    """The patch (2 half + 1)² uint8 as it looks turned and stretched by a map (2,3), about its middle."""
+    """The patch (2 half + 1)² uint8 after a map (2,3) about its middle."""
     import cv2
 
     size = 2 * patch.half + 1
@@ -118,6 +118,6 @@ def _without(map_: Array, by: Array) -> Array:
 
 
 def _sound(map_: Array) -> bool:
-    """Whether the map neither mirrors nor stretches the patch more than a view from the side may."""
+    """Whether the map neither mirrors the patch nor stretches it more than a view from the side does."""
     wide, thin = np.linalg.svd(map_[:, :2], compute_uv=False)
     return bool(np.linalg.det(map_[:, :2]) > 0 and thin > 0.3 and wide < 3.0 and wide / thin < 3.0)

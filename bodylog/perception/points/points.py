@@ -1,4 +1,4 @@
-"""Points given once: the patch about each is followed, always compared with the first, and found again."""
+"""Points given once: the patch around each is tracked, always compared with the first, and found again."""
 
 from collections.abc import Callable, Iterator, Mapping
 
@@ -15,11 +15,11 @@ from .patch import Laid, Patch
 _HALF = 1 / 50
 """Half a patch's side, in the image's width."""
 _FOLLOWED, _FOUND = 0.8, 0.9
-"""How alike patch and image are at least, where the patch is expected, and anywhere."""
+"""Least correlation of patch and image, where the patch is expected, and anywhere."""
 _CANDIDATE, _APART = 0.6, 0.05
-"""How alike they are as searched for, and how much more than elsewhere: else there are two of it."""
+"""Least correlation of a candidate, and least lead over the second best: else the two are ambiguous."""
 _MARGIN, _FARTHEST = 12.0, 96.0
-"""px about the expected place that are searched, beside twice what the point moved last; at most."""
+"""px searched around the expected place, in addition to twice the last motion; at most."""
 _LATE = 1.0
 """s between `at` and the nearest frame, at most."""
 _ANGLES = 12
@@ -29,7 +29,7 @@ RIVAL = "two candidates"
 def tracked(
     frames: Callable[[], Iterator[Frame]], points: Mapping[str, PointSource], where: str = "image"
 ) -> list[Tracked]:
-    """What following each point gives in all frames, which are read twice; EvidenceError where one cannot be."""
+    """Track each point through all frames, which are read twice; EvidenceError where one cannot be tracked."""
     firsts = {name: _first(frames, point, f"{where}: features.{name}") for name, point in points.items()}
     trackers = [PointTracker(name, *first) for name, first in firsts.items()]
     for frame in frames() if trackers else ():
@@ -43,7 +43,7 @@ def tracked(
 
 
 class PointTracker:
-    """Follows one patch."""
+    """Tracks one patch."""
 
     def __init__(self, name: str, first: Patch, uv: Array) -> None:
         """`uv` (2,) px is where the patch was cut out."""
@@ -107,7 +107,7 @@ class PointTracker:
         return None, HIDDEN
 
     def _turned(self) -> Array:
-        """The first patch turned, in each frame in which it is looked for by another angle."""
+        """The first patch turned, by a further angle in each frame searched."""
         angle = 2 * np.pi * self._lost / _ANGLES
         self._lost += 1
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -124,7 +124,7 @@ def _far(first: Laid, second: Laid) -> bool:
 
 
 def _matches(image: Array, shown: Array) -> tuple[Array, Array]:
-    """The two places (≤2,2) px most like a patch, a patch apart, and how alike they are (≤2,)."""
+    """The two best places (≤2,2) px of a patch, a patch apart, and their correlations (≤2,)."""
     import cv2
 
     height, width = shown.shape

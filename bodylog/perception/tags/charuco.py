@@ -1,4 +1,4 @@
-"""ChArUco boards: the markers say where the board lies, its chessboard's corners are then measured one by one."""
+"""ChArUco boards: the markers locate the board, then the chessboard's corners are measured one by one."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -14,17 +14,17 @@ from .codes import codes, read
 _LEAST_MARKERS, _MOST_OF = 3, 0.5
 _OFF = 3.0
 _OFF_SIDE = 0.2
-"""How far a marker's corner may lie beside its place on a flat board before a camera without distortion: px, sides."""
+"""Largest distance of a marker's corner from its place on a flat board without lens distortion: px, sides."""
 _REACH = 0.7
-"""Half a corner's window, in the gap between it and the nearest marker."""
+"""Half a corner's window, as a share of the gap to the nearest marker."""
 _SQUARE = 0.12
-"""Where a corner's four squares are looked at, in sides of a square from it."""
+"""Distance from a corner at which its four squares are sampled, in sides of a square."""
 _RELIEF = 0.4
-"""How much of the board's usual contrast they must show."""
+"""Least share of the board's usual contrast between them."""
 _KEPT = 0.7
-"""Share of the last frame's corners that must be found again where they are expected."""
+"""Least share of the last frame's corners that must be found at their expected places."""
 _NEAR = 2.5
-"""Squares: how far from a marker that was read a corner may lie."""
+"""Squares: largest distance of a corner from a marker that was read."""
 
 
 class Layout(NamedTuple):
@@ -67,10 +67,10 @@ def layout(source: CharucoSource, legacy: bool) -> Layout:
 
 
 class CharucoTracker:
-    """Follows one board."""
+    """Tracks one board."""
 
     def __init__(self, name: str, source: CharucoSource) -> None:
-        """Nothing is loaded before the first frame."""
+        """Load no library before the first frame."""
         self._name, self._source = name, source
         # an odd number of rows begins and ends with a black square in both patterns
         same_pattern = source.shape[1] % 2 == 1
@@ -122,7 +122,7 @@ class CharucoTracker:
         return self._layouts[self._legacy()]
 
     def _anywhere(self, gray: Array) -> Seen | None:
-        """The board as its markers lie in the whole image."""
+        """The board, from its markers in the whole image."""
         count = len(self._layout().markers)
         tags = search.whole(gray, codes(self._source.dictionary), np.arange(count))
         self._read += len(tags.number)
@@ -135,7 +135,7 @@ class CharucoTracker:
         return None if pose is None else self._measured(gray, pose)
 
     def _followed(self, gray: Array) -> Seen | None:
-        """The board where it is expected, if most of its corners are there and its markers are its own."""
+        """The board at its expected place, if most of its corners and its own markers are there."""
         expected = self._expected()
         if expected is None:
             return None
@@ -147,7 +147,7 @@ class CharucoTracker:
         return seen if kept >= _KEPT * count else None
 
     def _expected(self) -> Array | None:
-        """H (3,3) of the next frame, the corners moving on as they did."""
+        """H (3,3) of the next frame, by the corners' last motion."""
         last = self._frames[-1] if self._frames else None
         if last is None:
             return None
@@ -156,7 +156,7 @@ class CharucoTracker:
         return _homography(self._layout().corners, moved)
 
     def _measured(self, gray: Array, pose: Array) -> Seen | None:
-        """The board's corners near where H (3,3) from squares to px puts them."""
+        """The board's corners near their places by H (3,3) from squares to px."""
         board = self._layout()
         gap = (1 - self._source.marker / self._source.square) / 2
         for _ in range(2):
@@ -191,7 +191,7 @@ class CharucoTracker:
 
 
 def _pose(board: Layout, tags: search.Tags) -> tuple[Array | None, int]:
-    """H (3,3) from squares to px as most markers lie, and how many do."""
+    """H (3,3) from squares to px of most markers, and how many agree."""
     import cv2
 
     plane, image = board.markers[tags.number].reshape(-1, 2), tags.quads.reshape(-1, 2)
@@ -215,13 +215,13 @@ def _homography(plane: Array, image: Array) -> Array | None:
 
 
 def _scale(pose: Array, points: Array) -> Array:
-    """The shortest px a square's side has at points (K,2) of the plane: (K,)."""
+    """The shortest side of a square, px, at points (K,2) of the plane: (K,)."""
     here, right, down = (quads.project(pose[None], points + by)[0] for by in ((0, 0), (0.5, 0), (0, 0.5)))
     return np.asarray(2 * np.minimum(np.linalg.norm(right - here, axis=1), np.linalg.norm(down - here, axis=1)))
 
 
 def _kept(gray: Array, pose: Array, board: Layout, found: saddle.Corners) -> saddle.Corners:
-    """Corners about which white and black squares lie as on the board."""
+    """Corners with white and black squares around them as on the board."""
     about = _SQUARE * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     expected = quads.project(pose[None], board.corners)[0]
     points = quads.project(pose[None], (board.corners[:, None] + about).reshape(-1, 2))[0].reshape(-1, 4, 2)

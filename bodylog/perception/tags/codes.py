@@ -1,4 +1,4 @@
-"""Tag dictionaries as bit patterns in all four turns, and which tag some cells show."""
+"""Tag dictionaries as bit patterns in all four turns, and decoding of cells."""
 
 import re
 from functools import lru_cache
@@ -11,7 +11,7 @@ from ...types import Array
 
 class Codes(NamedTuple):
     """One dictionary: patterns (K,4,n*n), true where white, by tag and turn · the same about 0 and of length 1 · n ·
-    how many wrong bits are allowed."""
+    number of wrong bits allowed."""
 
     patterns: Array
     units: Array
@@ -20,7 +20,7 @@ class Codes(NamedTuple):
 
 
 class Read(NamedTuple):
-    """What cells show, of M quads: tag, turn (M,) · score (M,) -1..1, how alike they are · wrong (M,) bits."""
+    """Decoded cells of M quads: tag, turn (M,) · score (M,) -1..1, their correlation · wrong (M,) bits."""
 
     tag: Array
     turn: Array
@@ -30,7 +30,7 @@ class Read(NamedTuple):
 
 _OPENCV = {"mip_36h12": "ARUCO_MIP_36H12"}
 _CORRECTED = 0.6
-"""Share of the bits that could be corrected which may be wrong: OpenCV's errorCorrectionRate."""
+"""Share of the correctable bits that may be wrong: OpenCV's errorCorrectionRate."""
 
 
 @lru_cache
@@ -55,7 +55,7 @@ def _correctable(dictionary: str, stated: int) -> int:
 
 
 def read(cells: Array, known: Codes, only: Array | None = None) -> Read:
-    """The tag that cells (M,n*n) gray are most like, and its turn; `only` (T,) tags are considered where given.
+    """The tag most similar to cells (M,n*n) gray, and its turn; only tags `only` (T,) are considered where given.
 
     A turn of 1 means that the quad's first corner is the tag's second one.
     """
@@ -71,7 +71,7 @@ def read(cells: Array, known: Codes, only: Array | None = None) -> Read:
 
 
 def _wrong(cells: Array, white: Array) -> Array:
-    """Bits (M,) on the wrong side of the middle between what should be black and what should be white."""
+    """Bits (M,) on the wrong side of the mean of black and white levels."""
     count = np.maximum(white.sum(axis=1), 1), np.maximum((~white).sum(axis=1), 1)
     middle = (np.where(white, cells, 0).sum(axis=1) / count[0] + np.where(white, 0, cells).sum(axis=1) / count[1]) / 2
     return np.asarray(((cells > middle[:, None]) != white).sum(axis=1))

@@ -9,19 +9,19 @@ from .quads import sample
 
 _SAMPLES, _STEP, _AT_ONCE = 24, 0.5, 64
 _ENDS = 0.12
-"""Share of a side at each end that is left out: corners are rounded by blur."""
+"""Share of a side left out at each end: blur rounds corners."""
 _LEAST_SHARE = 0.4
 """Share of a side's samples that must show the edge."""
 _RELIEF = 0.4
 """Share of the square's contrast that a sample must show."""
 _OUTLYING = 3.0
 _REACH, _LEAST_REACH, _CLOSE = 0.8, 1.5, 3.0
-"""How far from a side its edge is looked for: in cells; px at least; px at last."""
+"""Search range of an edge on both sides of its expected line: in cells; px at least; px in the last round."""
 _MOST_STEPS, _LEAST_ROOM = 20, 1.0
 _FLOOR, _PULL, _CLEAR, _ALIKE = 0.015, 4.5, 0.165, 0.6
-"""How far edges lie beside where they seem, px, where all of a side does so: at least; what a neighbouring edge adds
-grows as the square of blur per cell above a limit; the share in which opposite sides differ. Of drawn tags of 16 to 100
-px, blur 0.3 to 1.4 px, noise 1 to 6 gray levels, light from one side or none."""
+"""Systematic error of a whole side, px: at least; from a neighbouring edge, which grows as the square of blur per cell
+above a limit; the share in which opposite sides differ. From drawn tags of 16 to 100 px, blur 0.3 to 1.4 px, noise 1 to
+6 gray levels, light from one side or none."""
 
 
 class Refined(NamedTuple):
@@ -43,9 +43,9 @@ _NONE = Refined(
 
 
 def refine(gray: Array, quads: Array, cell: Array) -> Refined:
-    """Quads (M,4,2), clockwise, moved to the edges near them; beside an edge the image is plain for `cell` (M,) px.
+    """Move quads (M,4,2), clockwise, to the edges near them; beside an edge the image is uniform for `cell` (M,) px.
 
-    First edges within a cell's reach are taken, then again close by, where light changes little.
+    Edges are searched within a cell first, then again close by, where light changes little.
     """
     parts = [_refine(gray, quads[k : k + _AT_ONCE], cell[k : k + _AT_ONCE]) for k in range(0, len(quads), _AT_ONCE)]
     return Refined(*(np.concatenate(column) for column in zip(*parts, strict=True))) if parts else _NONE
@@ -58,7 +58,7 @@ def _refine(gray: Array, quads: Array, cell: Array) -> Refined:
 
 
 def _within(gray: Array, quads: Array, reach: Array) -> Array:
-    """The reach (M,) px, or what room quads near the image's border leave."""
+    """The reach (M,) px, less where quads are near the image's border."""
     room = np.minimum(quads, np.array(gray.shape[::-1]) - 1 - quads).min(axis=(1, 2))
     return np.where(room >= _LEAST_ROOM, np.minimum(reach, room), reach)
 
@@ -88,9 +88,9 @@ def _once(gray: Array, quads: Array, cell: Array, reach: Array) -> Refined:
 
 
 def _places(profile: Array, taps: Array, x: Array) -> tuple[Array, Array, Array, Array]:
-    """Where each profile (M,4,S,T) goes from dark to light (M,4,S) px; whether it does; each side's blur (M,4) px.
+    """Edge of each profile (M,4,S,T), from dark to light, (M,4,S) px; whether it has one; each side's blur (M,4) px.
 
-    Last the variance (M,4) px² that comes of black and white levels known from noisy pixels.
+    Last the variance (M,4) px² from the noise of the black and white levels.
     """
     inside = np.asarray(np.isfinite(profile).all(axis=3))
     usual = np.where(inside[..., None], profile, 0).sum(axis=2) / np.maximum(inside.sum(axis=2)[..., None], 1)
@@ -115,7 +115,7 @@ def _places(profile: Array, taps: Array, x: Array) -> tuple[Array, Array, Array,
 def _level(profile: Array, at: Array, x: Array, inside: Array) -> tuple[Array, Array]:
     """The gray level (M,4,S) of profiles (M,4,S,T) at one tap of each side, and its variance (M,4).
 
-    It is a straight line along the side: light comes from somewhere.
+    It is a straight line along the side, because light varies.
     """
     own = np.take_along_axis(profile, at[:, :, None, None], 3)[..., 0]
     offset, slope, count, _ = _line(x, own, inside.astype(float))
@@ -125,7 +125,7 @@ def _level(profile: Array, at: Array, x: Array, inside: Array) -> tuple[Array, A
 
 
 def _blur(usual: Array, taps: Array, within: Array) -> Array:
-    """The standard deviation (M,4) px of the steps that mean profiles (M,4,T) take."""
+    """The standard deviation (M,4) px of the steps of mean profiles (M,4,T)."""
     rise = np.maximum(np.diff(usual, axis=2), 0) * within[..., 1:]
     share = rise / np.maximum(rise.sum(axis=2, keepdims=True), 1e-9)
     middle = ((taps[:, 1:] + taps[:, :-1]) / 2)[:, None]
@@ -167,7 +167,7 @@ def _corners(
     pull: Array,
     length: Array,
 ) -> tuple[Array, Array]:
-    """Where neighbouring lines cross (M,4,2) px, and how well that is known (M,4,2,2) px²."""
+    """Crossings of neighbouring lines (M,4,2) px, and their covariance (M,4,2,2) px²."""
     normal = outward - slope[..., None] * along
     level = (normal * (middle + offset[..., None] * outward)).sum(axis=2)
     before = np.roll(normal, 1, axis=1)
@@ -180,7 +180,7 @@ def _corners(
 
 
 def _centre_cov(outward: Array, variance: Array) -> Array:
-    """The centre lies midway between opposite sides: (M,2,2) px²."""
+    """Covariance of the centre, midway between opposite sides: (M,2,2) px²."""
     inverse = np.linalg.pinv(np.stack([outward[:, 1] - outward[:, 3], outward[:, 0] - outward[:, 2]], axis=1) / 2)
     spread = np.stack([variance[:, 1] + variance[:, 3], variance[:, 0] + variance[:, 2]], axis=1) / 4
     return np.asarray(inverse @ (spread[..., None] * np.swapaxes(inverse, 1, 2)))

@@ -8,7 +8,7 @@ _WINDOW, _DARKER = 15, 7
 """Adaptive threshold: width of the neighbourhood, px, and how many gray levels darker than its mean (OpenCV's C)."""
 _ROWS = 1 << 14
 _STRAIGHT = 0.05
-"""How far a contour may stray from its quad, in its perimeter."""
+"""Largest distance of a contour from its quad, as a share of its perimeter."""
 
 
 def find(gray: Array, shortest: float) -> Array:
@@ -78,7 +78,7 @@ def sample(gray: Array, points: Array) -> Array:
 def cells(gray: Array, quads: Array, side: int, fine: bool = True) -> tuple[Array, Array]:
     """Gray levels of the bits (M,side²) and of the black border's cells (M,4 side + 4) of tags at quads (M,4,2).
 
-    Each is that of the cell's middle, or where `fine` the mean over four places about it; NaN outside the image.
+    Each is sampled at the cell's middle, or where `fine` the mean of four places around it; NaN outside the image.
     """
     whole = side + 2
     middles = (np.arange(whole) + 0.5) / whole
@@ -92,7 +92,7 @@ def cells(gray: Array, quads: Array, side: int, fine: bool = True) -> tuple[Arra
 
 
 def centres(quads: Array) -> Array:
-    """Where the diagonals of quads (M,4,2) cross: the projection of a square's centre (M,2)."""
+    """The crossing of the diagonals of quads (M,4,2): the projection of a square's centre (M,2)."""
     start, first, second = quads[:, 0], quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]
     across = quads[:, 1] - start
     bottom = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]

@@ -11,9 +11,9 @@ _HALF = 7
 """Samples on each side of a corner; they lie as far apart as its window is wide."""
 _TURNS = 4
 _FLOOR = 0.015
-"""px: what all edges of a corner may err by together, as those of a tag."""
+"""px: systematic error shared by all edges of a corner, as of a tag."""
 _EXCESS = 2.0
-"""Variance beside the least possible for the noise (the Cramér-Rao bound), of drawn boards."""
+"""Factor on the Cramér-Rao bound, from drawn boards."""
 
 
 class Corners(NamedTuple):
@@ -26,7 +26,7 @@ class Corners(NamedTuple):
 def refine(gray: Array, uv: Array, reach: Array) -> Corners:
     """Corners near uv (K,2) px, each within a window of half its `reach` (K,) px to every side.
 
-    Every gradient in the window is to point past the corner: least squares (Förstner & Gülch 1987).
+    Least squares: every gradient in the window is perpendicular to its line to the corner (Förstner & Gülch 1987).
     """
     place, cov = uv.copy(), np.full((len(uv), 2, 2), np.nan)
     offsets = np.linspace(-1, 1, 2 * _HALF + 1)
@@ -40,7 +40,7 @@ def refine(gray: Array, uv: Array, reach: Array) -> Corners:
 
 
 def _step(gray: Array, place: Array, reach: Array, grid: Array, weight: Array) -> tuple[Array, Array]:
-    """From each place (K,2) px to where the gradients about it cross, and the covariance (K,2,2) px² of that."""
+    """The step from each place (K,2) px to the crossing of the gradients around it, and its covariance (K,2,2) px²."""
     points = place[:, None, None] + reach[:, None, None, None] * grid
     levels = sample(gray, points)
     spacing = (reach / _HALF)[:, None, None]
@@ -53,7 +53,7 @@ def _step(gray: Array, place: Array, reach: Array, grid: Array, weight: Array) -
     along = (gradient * apart).sum(axis=2)
     inverse = _inverse(normal)
     step = (inverse @ (some[..., 0] * gradient * along[..., None]).sum(axis=1)[..., None])[..., 0]
-    # turned by half a turn about the corner a perfect one is the same: what differs is noise
+    # a perfect corner is symmetric under half a turn: the difference is noise
     noise = ((levels - levels[:, ::-1, ::-1]) ** 2).mean(axis=(1, 2)) / 2
     apart_px = np.minimum(reach / _HALF, 1.0) ** 2
     cov = (_EXCESS * noise / apart_px)[:, None, None] * inverse + _FLOOR**2 * np.eye(2)
@@ -61,7 +61,7 @@ def _step(gray: Array, place: Array, reach: Array, grid: Array, weight: Array) -
 
 
 def _inverse(matrix: Array) -> Array:
-    """Of symmetric (K,2,2); NaN where one is singular."""
+    """Inverse of symmetric (K,2,2); NaN where one is singular."""
     a, b, c = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]
     det = a * c - b * b
     det = np.where(det > 1e-6 * (a + c) ** 2, det, np.nan)

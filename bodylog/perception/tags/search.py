@@ -10,13 +10,13 @@ from .codes import Codes
 from .edges import Refined
 
 _SHORTEST = 8.0
-"""px: sides of the smallest tag that is looked for."""
+"""px: sides of the smallest tag searched for."""
 _HALF = 7.0
 """px: the same in the image at half size."""
 _BORDER = 0.65
 """Share of the border's cells that must be dark: OpenCV's 1 - maxErroneousBitsInBorderRate."""
 _SIMILAR = 0.6
-"""How alike bits and pattern must be at least, -1..1; of two patterns 3 of 16 bits apart the wrong one reaches 0.63."""
+"""Least correlation of bits and pattern, -1..1; of two patterns 3 of 16 bits apart the wrong one reaches 0.63."""
 _LIKELY = 0.5
 """The same before a quad is refined to its edges."""
 
@@ -24,7 +24,7 @@ _LIKELY = 0.5
 class Tags(NamedTuple):
     """M tags: numbers (M,) · corners (M,4,2) px, as printed from top left clockwise · centres (M,2) px · score (M,).
 
-    corner_cov (M,4,2,2) and centre_cov (M,2,2) px²; the score says how alike a tag and its pattern are, -1..1.
+    corner_cov (M,4,2,2) and centre_cov (M,2,2) px²; the score is the correlation with the pattern, -1..1.
     """
 
     number: Array
@@ -35,7 +35,7 @@ class Tags(NamedTuple):
     score: Array
 
     def chosen(self, rows: Array) -> "Tags":
-        """Those of the rows."""
+        """The tags of these rows."""
         return Tags(*(column[rows] for column in self))
 
 
@@ -48,7 +48,7 @@ def whole(gray: Array, known: Codes, only: Array | None = None) -> Tags:
 
 
 def candidates(gray: Array) -> Array:
-    """Quads (M,4,2) px that may be tags, clockwise, as they are seen at half and at full size."""
+    """Quads (M,4,2) px that may be tags, clockwise, found at half and at full size."""
     return np.concatenate([_at_half_size(gray), quads.find(gray, _SHORTEST)])
 
 
@@ -77,7 +77,7 @@ def verified(gray: Array, found: Array, known: Codes, only: Array | None = None)
 
 
 def refined(gray: Array, found: Array, side: int) -> Refined:
-    """Those of quads (M,4,2) px of tags of side² bits that have four edges near them, moved there."""
+    """Refine quads (M,4,2) px of tags of side² bits to their edges; those without four edges are left out."""
     shortest = np.linalg.norm(found - np.roll(found, -1, axis=1), axis=2).min(axis=1)
     moved = edges.refine(gray, found, shortest / (side + 2))
     sound = moved.sides.all(axis=1) & np.isfinite(moved.quads).all(axis=(1, 2))
@@ -103,7 +103,7 @@ def recognised(gray: Array, found: Refined, known: Codes, only: Array | None = N
 
 
 def _likely(gray: Array, found: Array, known: Codes, only: Array | None) -> Array:
-    """Of quads (M,4,2) px those whose cells look like a tag as they lie: refining costs ten times as much."""
+    """Quads (M,4,2) px whose cells resemble a tag before refinement, which costs ten times as much."""
     if not len(found):
         return found
     bits, border = quads.cells(gray, found, known.side, fine=False)
@@ -118,12 +118,12 @@ def nothing() -> Tags:
 
 
 def joined(first: Tags, second: Tags) -> Tags:
-    """Those of both."""
+    """The tags of both."""
     return Tags(*(np.concatenate(both) for both in zip(first, second, strict=True)))
 
 
 def _distinct(found: Tags) -> Tags:
-    """Each number once: where it is most alike its pattern."""
+    """Each number once: the one most similar to its pattern."""
     best: dict[int, int] = {}
     for row in np.argsort(-found.score, kind="stable").tolist():
         best.setdefault(int(found.number[row]), row)

@@ -1,4 +1,4 @@
-"""Tags followed from frame to frame: where each is expected, then about there, then in the whole image."""
+"""Tags tracked from frame to frame: at the expected place, then around it, then in the whole image."""
 
 from collections.abc import Mapping
 
@@ -11,9 +11,9 @@ from . import search
 from .codes import codes
 
 _ABOUT = 1.5
-"""How far about its expected place a tag is looked for, in its longest sides."""
+"""Search radius around a tag's expected place, in its longest sides."""
 _FORGOTTEN = 3
-"""Frames after which a tag unseen is no longer expected anywhere."""
+"""Frames after which an unseen tag has no expected place."""
 
 
 def trackers(features: Mapping[str, TagSource]) -> list[Tracker]:
@@ -23,10 +23,10 @@ def trackers(features: Mapping[str, TagSource]) -> list[Tracker]:
 
 
 class TagTracker:
-    """Follows the tags of one dictionary."""
+    """Tracks the tags of one dictionary."""
 
     def __init__(self, features: Mapping[str, TagSource]) -> None:
-        """Nothing is loaded before the first frame."""
+        """Load no library before the first frame."""
         self._features = features
         self._wanted = np.unique([source.tag for source in features.values()])
         self._dictionary = next(iter(features.values())).dictionary
@@ -73,12 +73,12 @@ class TagTracker:
         return np.setdiff1d(self._wanted, found.number)
 
     def _followed(self, gray: Array, left: Array) -> search.Tags:
-        """Tags whose edges are where they are expected."""
+        """Tags whose edges are at their expected places."""
         quads = [quad for number in left.tolist() if (quad := self._expected(number)) is not None]
         return search.verified(gray, np.array(quads).reshape(-1, 4, 2), codes(self._dictionary), left)
 
     def _nearby(self, gray: Array, left: Array) -> search.Tags:
-        """Tags about where they are expected."""
+        """Tags around their expected places."""
         found = search.nothing()
         for number in left.tolist():
             if (quad := self._expected(number)) is not None:
@@ -89,7 +89,7 @@ class TagTracker:
         return found
 
     def _expected(self, number: int) -> Array | None:
-        """Corners (4,2) px in the next frame, moving on as they did; None where the tag was not seen lately."""
+        """Corners (4,2) px in the next frame, by their last motion; None where the tag was not seen lately."""
         if number not in self._last:
             return None
         seen, quad, step = self._last[number]

@@ -1,4 +1,4 @@
-"""Which tags of the common dictionaries a few images show, where nobody says which there are."""
+"""Find tags of unknown number and dictionary in a few images."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,17 +14,17 @@ from .codes import codes
 COMMON = (
     "apriltag_36h11", "mip_36h12", "6x6_250", "aruco_original", "apriltag_25h9", "5x5_100", "7x7_100", "4x4_100",
 )  # fmt: skip
-"""Dictionaries looked for: those that printed tags mostly come from, the most distinct patterns first."""
+"""Dictionaries searched for: the common ones of printed tags, the most distinct patterns first."""
 _CLEAR = 0.8
-"""How alike a tag and its pattern are, -1..1, where nobody says that it is there."""
+"""Least correlation of a tag and its pattern, -1..1, of tags that no setting names."""
 _SIDE = 6
-"""Bits along a side, for how near other edges may be: those of the common dictionaries have 4 to 7."""
+"""Bits along a side, for the least distance of other edges: those of the common dictionaries have 4 to 7."""
 _TWICE = 2
-"""Images, of more than that, that must show a tag: chance patterns are not seen again."""
+"""Images that must show a tag, where there are more: chance patterns do not repeat."""
 
 
 class Found(NamedTuple):
-    """A tag: its source · in how many images it was seen · where its centre was in each, (I,2) px, NaN where not."""
+    """A tag: its source · number of images that show it · its centre in each, (I,2) px, NaN where not seen."""
 
     source: TagSource
     seen: int

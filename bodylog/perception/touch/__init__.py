@@ -1,1 +1,1 @@
-"""Touches of the skin, strokes seen, and how they match in time."""
+"""Touches of the skin, strokes in the images, and their match in time."""

@@ -30,7 +30,7 @@ class _Press:
 def touches(skin: Series, settings: Skin) -> Felt:
     """Touches in order of onset, health and findings; None where no cell can feel (all dead or stuck, no sample)."""
     readable = np.isfinite(skin.values)
-    # zero first: a signalling NaN would be remarked on as it is cast
+    # zero first: casting a signalling NaN gives a RuntimeWarning
     level = np.where(readable, skin.values, 0.0).astype(np.float32)
     health = _health(skin.t, readable)
     if not level.size:
@@ -53,7 +53,7 @@ def _after_gaps(t: Array) -> Array:
 
 
 def _active(level: Array, settings: Skin, gap: Array) -> Array:
-    """(N,C) bool: at or above the threshold, or since then neither below release nor across a silence."""
+    """(N,C) bool: at or above the threshold, or since then neither below release nor across a gap."""
     active = np.zeros(level.shape, dtype=bool)
     touched = np.flatnonzero((level >= settings.threshold).any(axis=0))
     felt, order = level[:, touched], np.arange(len(level), dtype=np.int32)[:, None]
@@ -64,7 +64,7 @@ def _active(level: Array, settings: Skin, gap: Array) -> Array:
 
 
 def _dead(level: Array) -> Array:
-    """(C,) bool: the very same reading for the whole log, as no noise gives."""
+    """(C,) bool: one constant reading for the whole log, without any noise."""
     return np.asarray((level == level[0]).all(axis=0) & (len(level) > 1))
 
 
@@ -99,7 +99,7 @@ def _crossing(t: Array, level: Array, outside: int, inside: int, threshold: floa
 
 
 def _groups(presses: Sequence[_Press], columns: int | None) -> list[list[_Press]]:
-    """Presses joined where they neighbour one another on the skin and overlap in time, or nearly."""
+    """Join presses that are neighbours on the skin and overlap in time, or nearly."""
     groups: dict[int, list[_Press]] = {}
     recent: list[tuple[_Press, int]] = []
     for number, press in enumerate(presses):
@@ -151,7 +151,7 @@ def _unreadable(readable: Array) -> tuple[Finding, ...]:
 
 
 def _broken(level: Array, dead: Array, held: Array) -> tuple[Finding, ...]:
-    """What is to be said of cells that cannot feel."""
+    """Warnings about cells that cannot feel."""
     cells = level.shape[1]
     if dead.all() and (level == level[0, 0]).all():
         text = f"skin: all {cells} cells read {level[0, 0]:g} from first to last; touch cannot be used"

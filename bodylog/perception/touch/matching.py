@@ -1,4 +1,4 @@
-"""Touches felt against strokes seen: one-to-one pairs, their delays, and how much each counts as one event."""
+"""Match touches with strokes: one-to-one pairs, their delays, and the weight of each as one event."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from ...errors import ConfigError
 from ...types import Array, Finding, Stroke, Synchrony, Touch
 
 B2 = float(np.log(2.0) / 0.12**2)
-"""f_t = exp(−b2 δ²), 1/s², halves at 0.12 s: a seen touch loses its hold on the felt one beyond about 0.1 s."""
+"""b2 (1/s²) of f_t = exp(−b2 δ²), which halves at 0.12 s: vision captures touch up to a delay of about 0.1 s."""
 
 _FARTHEST = 1.5
 _STEADY = 0.05
@@ -19,9 +19,9 @@ Matches = tuple[tuple[Synchrony, ...], tuple[Finding, ...]]
 
 
 def match_touches(touches: Sequence[Touch], strokes: Sequence[Stroke], clock_offset: float | str = 0.0) -> Matches:
-    """One Synchrony per touch, in order, with f_t of the delay left after the clocks' offset (s) is taken off.
+    """One Synchrony per touch, in order, with f_t of the delay minus the clocks' offset (s).
 
-    `clock_offset` "auto" takes off the log's own median delay where its spread is small; ConfigError otherwise.
+    `clock_offset` "auto" subtracts the log's own median delay where its spread is small; ConfigError for other texts.
     """
     partners = _pairs(_costs(touches, strokes, 0.0 if clock_offset == "auto" else _seconds(clock_offset)))
     paired = [(i, j) for i, j in enumerate(partners) if j is not None]
@@ -48,7 +48,7 @@ def _delay(touch: Touch, stroke: Stroke) -> float:
 
 
 def _costs(touches: Sequence[Touch], strokes: Sequence[Stroke], offset: float) -> Array:
-    """How badly each touch fits each stroke (T,S), s: the mean distance of beginnings and of ends."""
+    """The cost (T,S), s, of each touch with each stroke: the mean distance of beginnings and of ends."""
     felt = np.array([(touch.onset, touch.offset) for touch in touches]).reshape(-1, 1, 2)
     seen = np.array([(stroke.start, stroke.end) for stroke in strokes]).reshape(1, -1, 2)
     return np.asarray(np.abs(seen - felt - offset).mean(axis=2))
@@ -57,7 +57,7 @@ def _costs(touches: Sequence[Touch], strokes: Sequence[Stroke], offset: float) -
 def _pairs(costs: Array) -> list[int | None]:
     """Each touch's stroke or None: pairs keep their order, each stroke serves once, the total cost is least.
 
-    Leaving a touch and a stroke apart costs as much as pairing them _FARTHEST s apart.
+    Leaving a touch and a stroke unpaired costs as much as a pair _FARTHEST s apart.
     """
     rows, columns = costs.shape
     total = np.zeros((rows + 1, columns + 1))
@@ -81,7 +81,7 @@ def _pairs(costs: Array) -> list[int | None]:
 
 
 def _offset(delays: Array, wanted: float | str) -> tuple[float, tuple[Finding, ...]]:
-    """What to take off the delays (s), and what to say of it: the median of at least three steady ones, or nothing."""
+    """The offset to subtract from the delays (s), and findings: the median of at least three steady ones, or 0."""
     if not delays.size:
         return (0.0 if wanted == "auto" else _seconds(wanted)), ()
     middle, spread = float(np.median(delays)), _spread(delays)
@@ -94,8 +94,8 @@ def _offset(delays: Array, wanted: float | str) -> tuple[float, tuple[Finding, .
             text += "; if that is the camera's latency, type: --clock-offset auto"
         return _seconds(wanted), (Finding("info", text),)
     if steady:
-        return middle, (Finding("info", f"{text}; taken off as the clocks' offset"),)
-    return 0.0, (Finding("warning", f"{text}; too few or too unsteady for a clocks' offset: none taken off"),)
+        return middle, (Finding("info", f"{text}; subtracted as the clocks' offset"),)
+    return 0.0, (Finding("warning", f"{text}; too few or too unsteady for a clocks' offset: none subtracted"),)
 
 
 def _spread(delays: Array) -> float:

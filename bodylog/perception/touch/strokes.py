@@ -45,7 +45,7 @@ class _Piece:
 
 
 def strokes(hand: Series) -> tuple[Stroke, ...]:
-    """The contact strokes in a hand's track (N,2) px, in order; gaps in the track may hide some, but join none."""
+    """The contact strokes in a hand's track (N,2) px, in order; a stroke never spans a gap in the track."""
     seen = np.isfinite(hand.values).all(axis=1)
     t, place = hand.t[seen], hand.values[seen]
     found: list[Stroke] = []
@@ -58,7 +58,7 @@ def strokes(hand: Series) -> tuple[Stroke, ...]:
 
 
 def _stretches(t: Array, place: Array) -> list[slice]:
-    """Where the hand was followed without a long gap or a leap."""
+    """The stretches in which the hand was tracked without a long gap or a jump."""
     step = np.hypot(*np.diff(place, axis=0).T) / np.maximum(np.diff(t), 1e-6)
     usual = float(np.quantile(step, 0.9)) if step.size else 0.0
     cuts = np.flatnonzero((np.diff(t) > _GAP) | (step > _LEAP * usual)) + 1
@@ -85,7 +85,7 @@ def _cuts(t: Array, place: Array) -> list[int]:
     longest = max(2 * _FEWEST, int(np.searchsorted(t - t[0], _LONGEST)))
     sums = _running_sums(t - t[0], place - place[0])
     price, came = _noise(place) ** 2 * 5.0 * np.log(count), np.zeros(count + 1, dtype=int)
-    # the cost of all up to each edge, after as many edges that cannot be as a piece may be long
+    # the cost up to each edge, padded with impossible edges for one longest piece
     cost = np.full(longest + count + 1, np.inf)
     cost[longest] = 0.0
     for end, errors in enumerate(_errors(sums, longest), _FEWEST):
@@ -150,7 +150,7 @@ def _contacts(pieces: Sequence[_Piece]) -> list[tuple[float, float]]:
 
 
 def _peaks(speeds: Sequence[float], valley: int) -> tuple[int, int]:
-    """Where the speed tops on either side of a valley."""
+    """The pieces of highest speed on either side of a valley."""
     before = after = valley
     while before > 0 and speeds[before - 1] >= speeds[before]:
         before -= 1
@@ -160,7 +160,7 @@ def _peaks(speeds: Sequence[float], valley: int) -> tuple[int, int]:
 
 
 def _below(speeds: Sequence[float], valley: int, limit: float) -> tuple[int, int]:
-    """First and last piece around a valley below a speed; last < first where the valley itself is not."""
+    """First and last piece around a valley below a speed limit; last < first where the valley itself is above it."""
     if speeds[valley] >= limit:
         return valley, valley - 1
     first = last = valley
@@ -176,7 +176,7 @@ def _between(pieces: Sequence[_Piece], second: int) -> float:
 
 
 def _stroke(t: Array, place: Array, about: tuple[float, float], reach: float) -> list[Stroke]:
-    """The stroke that begins and ends about then, with both ends found finer than a frame; none if too short."""
+    """The stroke around these times, both ends found to less than a frame; empty if too short."""
     middle = 0.5 * (about[0] + about[1])
     start, start_px = _corner(t, place, about[0], middle, reach)
     end, end_px = _corner(-t[::-1], place[::-1], -about[1], -middle, reach)
@@ -210,7 +210,7 @@ def _bends(t: Array, place: Array, corners: Array) -> Array:
         column -= (column @ each)[:, None]
         for other in directions:
             column -= np.einsum("kn,kn->k", column, other)[:, None] * other
-        # a column without entries, or of none but what the others have, is no direction
+        # a column of zeros, or a combination of the others, is no direction
         column /= np.sqrt(np.einsum("kn,kn->k", column, column) + 1e-12 * len(t))[:, None]
         directions.append(column)
     place = place - each @ place
@@ -219,7 +219,7 @@ def _bends(t: Array, place: Array, corners: Array) -> Array:
 
 
 def _turn(t: Array, place: Array, corner: float) -> Array:
-    """The place (2,) px of the corner of the best path that has it then."""
+    """The corner (2,) px of the best path with its corner at that time."""
     before, after = np.minimum(t - corner, 0.0), np.maximum(t - corner, 0.0)
     columns = [np.ones_like(t), before, after]
     if np.count_nonzero(before) > _APPROACH:

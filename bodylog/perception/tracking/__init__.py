@@ -1,4 +1,4 @@
-"""Sources that follow something through a camera's frames one by one: an explicit table of them, and their tracks."""
+"""Sources that track something through a camera's frames in order: their table, and the tracks they give."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -16,11 +16,11 @@ FRAME_SOURCES: Mapping[type[Source], Callable[[Mapping[str, Any]], list[Tracker]
     TagSource: tags.trackers,
     CharucoSource: charuco.trackers,
 }
-"""The kinds of source that look at frames in the order of the file: features {name: source} -> their trackers."""
+"""The kinds of source that need frames in the order of the file: features {name: source} -> trackers."""
 
 
 def trackers(features: Mapping[str, Source]) -> list[Tracker]:
-    """Trackers of one camera for all features that are looked for in its frames."""
+    """The trackers of one camera, for all features searched for in its frames."""
     found: list[Tracker] = []
     for kind, begin in FRAME_SOURCES.items():
         if some := {name: source for name, source in features.items() if isinstance(source, kind)}:
@@ -45,7 +45,7 @@ def series(
 
 
 def _health(t: Array, used: Array, why: Array) -> Health:
-    """Counts of one track; a part unseen where the thing itself was seen is hidden."""
+    """Counts of one track; a part not seen in a frame that shows the rest counts as hidden."""
     kinds, counts = np.unique(np.where(why[~used] == "", HIDDEN, why[~used]), return_counts=True)
     gaps = np.diff(t[used])
     rejected = dict(zip(kinds.tolist(), counts.tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""Which features a log offers: tags, then colours, each with how much of its motion the joints explain."""
+"""Features that a log offers: tags and colours, each with the share of its motion that the joints explain."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from ..tags import unknown
 from . import joint_motion, target_selection
 
 _FEW = 12
-"""Images in which tags of unknown kinds are looked for."""
+"""Images searched for tags of unknown dictionaries."""
 _SHOWN = 6
 _FEWEST = 20
 TAG, COLOUR = "tag", "colour"
@@ -24,7 +24,7 @@ TAG, COLOUR = "tag", "colour"
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One thing that may be followed: where its track would come from, and why it is not the arm's ("": it is).
+    """One thing to track: the source of its track, and why it is not on the arm ("": it is).
 
     seen: share (0..1) of the images looked at · strays px · explained: share (0..1) of its held-out motion that the
     joints explain · track (n,2) px in those images, NaN where not seen.
@@ -42,7 +42,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Candidates, the likeliest of the arm first · images {number: (H,W,3) BGR} to show them in · how many in all."""
+    """Candidates, likeliest on the arm first · images {number: (H,W,3) BGR} for a contact sheet · number of images."""
 
     candidates: tuple[Candidate, ...]
     images: Mapping[int, Array]
@@ -50,15 +50,15 @@ class Survey:
 
     @property
     def arm(self) -> Candidate | None:
-        """What moves as the joints do; None where nothing does."""
+        """The first candidate that moves with the joints, or None."""
         return next((one for one in self.candidates if not one.why), None)
 
 
 def survey(recording: Recording, hand: Colour, effector_uv: tuple[float, float] | None = None) -> Survey:
-    """What some images of a recording offer; LogError where there are none.
+    """Search some images of a recording for candidates; LogError where there are none.
 
-    `effector_uv` (px) says where the effector is in the first image: what is found there comes first. What has the
-    `hand`'s colour is never the arm's.
+    `effector_uv` (px) is the effector's place in the first image: candidates there come first. Whatever has the
+    `hand`'s colour is not on the arm.
     """
     picked = colour_proposals.picked(recording)
     t = np.array([moment for moment, _ in picked()])
@@ -83,12 +83,12 @@ def survey(recording: Recording, hand: Colour, effector_uv: tuple[float, float] 
 
 
 def _tags(images: Iterator[Array]) -> list[TagSource]:
-    """The tags of the common dictionaries that some images show."""
+    """Tags of the common dictionaries in some images."""
     return [one.source for one in unknown.present(list(images))]
 
 
 def _centres(image: Array, tags: list[TagSource]) -> Array:
-    """Where each tag's centre is in an image: (K,2) px, NaN where not seen."""
+    """Each tag's centre in an image: (K,2) px, NaN where not seen."""
     where = np.full((len(tags), 2), np.nan)
     for one in unknown.present([image], sorted({tag.dictionary for tag in tags})) if tags else ():
         if one.source in tags:
@@ -127,7 +127,7 @@ def _candidate(
 
 
 def why_not_arm(q: Array, frames: Array, place: Array, width: float) -> str:
-    """Why a thing seen at places (n,2) px in some images (n,) is not the arm's, by the joints' angles q (N,M)."""
+    """Why a thing at places (n,2) px in some images (n,) is not on the arm, by angles q (N,M); "": it is."""
     if not q.shape[1]:
         return "no joint moves"
     if joint_motion.stands_still(place, width):
@@ -139,7 +139,7 @@ def why_not_arm(q: Array, frames: Array, place: Array, width: float) -> str:
 
 
 def _rank(one: Candidate, effector_uv: tuple[float, float] | None) -> tuple[float, bool, bool, float, float]:
-    """Smaller is likelier: by distance from where the effector is said to be; the arm's, tags, what joints explain."""
+    """Sort key, smallest first: distance from the given effector, then on the arm, tags, explained share."""
     seen = one.track[np.isfinite(one.track[:, 0])]
     away = 0.0
     if effector_uv is not None:

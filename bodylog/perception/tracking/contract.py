@@ -1,4 +1,4 @@
-"""What a source that looks at frames must do, and what it gives."""
+"""The interface of a source that reads frames, and its result."""
 
 from typing import NamedTuple, Protocol
 
@@ -8,7 +8,7 @@ HIDDEN, UNDECODABLE = "hidden", "undecodable picture"
 
 
 class Tracked(NamedTuple):
-    """What one tracker found in N frames, in the order it was given them.
+    """What one tracker found in N frames, in the order they were added.
 
     values (N,K,4): u, v, std_u, std_v px of K tracks, NaN where not seen · reasons (N,) str: why nothing was seen in a
     frame, "" where something was.
@@ -21,7 +21,7 @@ class Tracked(NamedTuple):
 
 
 class Tracker(Protocol):
-    """Follows one thing, or several that are found together, through one camera's frames."""
+    """Tracks one thing, or several that are found together, through one camera's frames."""
 
     def add(self, gray: Array | None) -> None:
         """The next frame in the order of the file, (H,W) uint8; None where it cannot be decoded."""

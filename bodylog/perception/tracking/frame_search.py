@@ -1,4 +1,4 @@
-"""Pictures to blobs on several threads: each takes a few pictures in their order, looks at them and lets them go."""
+"""Images to blobs on several threads: each takes a few images in order, searches them and frees them."""
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -19,18 +19,18 @@ from ..colours.hsv_ranges import Range
 from .contract import Tracked, Tracker
 from .in_order import InOrder
 
-# pictures a thread takes at once; takes that wait; takes whose finds are measured together: with more, what is worked
-# on outgrows the memory a process keeps, and is faulted in anew
+# images a thread takes at once; takes that wait; takes measured together: with more, the working memory
+# outgrows what a process keeps, and its pages are faulted in again
 _TAKEN, _AHEAD, _SHEET = 4, 4, 8
 _AT_ONCE = 1 << 23
-"""Bytes of pictures that are searched together."""
+"""Bytes of images searched together."""
 
 
 class Seen(NamedTuple):
     """t (N,) · source_ns (N,) · blobs (N,colours,CANDIDATES,FIELDS) px · undecodable (N,) bool · greatest width, px.
 
-    size: width and height (px) of the log's first picture; None where it cannot be read. tracked: what each tracker
-    found in all pictures told of; number (N,): which of those the frames are.
+    size: width and height (px) of the log's first image; None where it cannot be read. tracked: what each tracker
+    found in all images consumed; number (N,): the frames' places among those.
     """
 
     t: Array
@@ -44,18 +44,18 @@ class Seen(NamedTuple):
 
 
 Take = tuple[int, list[Frame]]
-"""Pictures in order, and how many such lists came before."""
+"""Images in order, and the number of lists before this one."""
 
 SearchResult = tuple[list[Window], list[tuple[int, int, int]]]
-"""What some pictures show; of each its width and height in px as looked at (0: undecodable), how often it is shrunk."""
+"""The windows found in some images, and each image's width and height in px as searched (0: undecodable) and scale."""
 
 
 class FrameSearcher:
-    """To be told of pictures one by one, within a `with`: this thread and `threads` - 1 others look at them.
+    """Consumes images one by one, within a `with`: this thread and `threads` - 1 others search them.
 
-    No more than a few wait, and the same bytes come of them whichever thread takes which: what is measured together
-    depends on their order alone. Whoever tells of a picture too many looks at some itself. `progress` may be told by
-    any of the threads. `trackers` get every picture, whole, in the order of the file.
+    Only a few images wait, and the result is the same whichever thread takes which: what is measured together
+    depends on their order alone. A caller that brings one too many searches some itself. `progress` may be called by
+    any thread. `trackers` get every image, whole, in the order of the file.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class FrameSearcher:
         threads: int,
         trackers: Sequence[Tracker] = (),
     ) -> None:
-        """Nothing is loaded and no thread begins before there is a picture."""
+        """No library is loaded and no thread starts before the first image."""
         self._ranges, self._progress, self._threads = ranges, progress, threads
         self._fast, self._trackers, self._in_order = fast and not trackers, trackers, InOrder(trackers)
         self._begun, self._others = ExitStack(), list[Future[None]]()
@@ -80,13 +80,13 @@ class FrameSearcher:
         return self
 
     def __call__(self, frame: Frame) -> None:
-        """One more picture; its time does not matter. What went wrong on another thread is raised here."""
+        """Add an image; its time does not matter. Errors of other threads are raised here."""
         self._told.append(frame)
         if len(self._told) == _TAKEN:
             self._hand_out()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Look at what is left, unless something went wrong."""
+        """Search the images that are left, unless there was an error."""
         with self._begun:
             if kind is None and self._told:
                 self._hand_out()
@@ -100,7 +100,7 @@ class FrameSearcher:
             other.result()
 
     def seen(self, consumed: ConsumedFrames) -> Seen:
-        """What the frames among the pictures show."""
+        """The search results of the consumed images that are frames."""
         for sheet, results in self._sheets.items():
             self._measured[sheet] = _measured(results, self._ranges)
         parts = [_measured({}, self._ranges), *(part for _, part in sorted(self._measured.items()))]
@@ -131,7 +131,7 @@ class FrameSearcher:
             self._search(*mine)
 
     def _work(self) -> None:
-        """Look at pictures until there will be no more."""
+        """Search images until there are no more."""
         while True:
             with self._ready:
                 self._ready.wait_for(lambda: self._waiting or self._over)
@@ -141,7 +141,7 @@ class FrameSearcher:
             self._search(number, frames)
 
     def _search(self, number: int, frames: Sequence[Frame]) -> None:
-        """Look at pictures; who brings the last look of a sheet measures it."""
+        """Search images; the thread that completes a sheet measures it."""
         grays: list[Array | None] | None = [] if self._trackers else None
         found = _search(frames, self._ranges, self._fast, 0 if number else 1, grays)
         if grays is not None:
@@ -159,7 +159,7 @@ class FrameSearcher:
 def _search(
     frames: Sequence[Frame], ranges: Sequence[Range], fast: bool, whole: int, grays: list[Array | None] | None
 ) -> SearchResult:
-    """What some pictures show, the first so many looked at whole also when in haste; `grays` gets them in gray."""
+    """Search some images, the first few at full size even when `fast`; `grays` gets them in gray."""
     found: list[Window] = []
     images: dict[int, Array] = {}
     sizes: list[tuple[int, int, int]] = []
@@ -184,7 +184,7 @@ def _decoded(frame: Frame, scale: int) -> Array | None:
 
 
 def _measured(results: Mapping[int, SearchResult], ranges: Sequence[Range]) -> tuple[Array, Array]:
-    """Blobs (n,colours,CANDIDATES,FIELDS) and sizes (n,3) of looks by their number."""
+    """Blobs (n,colours,CANDIDATES,FIELDS) and sizes (n,3) of search results by number."""
     found: list[Window] = []
     sizes: list[tuple[int, int, int]] = []
     for _, (windows, measured) in sorted(results.items()):

@@ -1,4 +1,4 @@
-"""Frames decoded by several threads, handed to trackers in the order of the file by one thread at a time."""
+"""Frames that several threads decode, given to trackers in the order of the file by one thread at a time."""
 
 from collections.abc import Sequence
 from threading import Condition
@@ -7,11 +7,11 @@ from ...types import Array
 from .contract import Tracker
 
 _MOST_WAITING = 8
-"""Lists of frames that wait before a thread that brings more of them waits as well: they bound the memory."""
+"""Lists of frames that may wait before a thread that brings another is blocked: this bounds the memory."""
 
 
 class InOrder:
-    """Takes numbered lists of gray frames from any thread; whoever brings the next one in order does the work."""
+    """Takes numbered lists of gray frames from any thread; the thread with the next one in order runs the trackers."""
 
     def __init__(self, trackers: Sequence[Tracker]) -> None:
         """Nothing happens before the first list."""
@@ -19,7 +19,7 @@ class InOrder:
         self._waiting, self._next, self._busy = dict[int, Sequence[Array | None]](), 0, False
 
     def put(self, number: int, frames: Sequence[Array | None]) -> None:
-        """The list of that number, counted from 0; returns once no more than a few lists wait."""
+        """Add the list of that number, counted from 0; returns once only a few lists wait."""
         with self._changed:
             self._waiting[number] = frames
             self._changed.wait_for(lambda: not self._busy or len(self._waiting) <= _MOST_WAITING)
@@ -34,7 +34,7 @@ class InOrder:
             raise
 
     def _due(self) -> Sequence[Array | None] | None:
-        """The next list in order; None, and nobody is busy any more, where it is not there yet."""
+        """The next list in order; None, and no thread is busy any more, where it is not there yet."""
         with self._changed:
             due = self._waiting.pop(self._next, None)
             self._next += due is not None

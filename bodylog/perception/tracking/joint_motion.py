@@ -1,4 +1,4 @@
-"""How much of a thing's motion in the image the joints explain: a smooth function of angles, on held-out time."""
+"""The share of an image track's motion that the joints explain: a smooth function of angles, on held-out time."""
 
 from dataclasses import dataclass
 
@@ -6,11 +6,11 @@ import numpy as np
 
 from ...types import Array, Series
 
-# rad; of 0.7 to 4 the length at which held-out places of a drawn arm's tip err least: medians over 42 arms of 3 to 7
+# rad; of 0.7 to 4, the length with the least held-out error of a simulated arm's tip: medians over 42 arms of 3 to 7
 # joints that explore a quarter of a turn to three quarters each way
 _LENGTH = 1.5
 _AMPLITUDE = 0.3
-"""Share of the image width that places scatter by, before anything is known."""
+"""Prior noise of places, as a share of the image width."""
 _STILL = 0.005
 _MOVES, _FAR = 0.01, 0.1
 _BLOCKS = 8
@@ -34,7 +34,7 @@ class Regression:
 
     @classmethod
     def fit(cls, q: Array, y: Array, std: Array, amplitude: float) -> "Regression":
-        """Learn from samples; a sample counts for as much as its std (n,) says."""
+        """Fit to samples, each weighted by its std (n,)."""
         precision = 1 / np.square(std)
         mean = (precision @ y) / precision.sum()
         factor = np.linalg.cholesky(_kernel(q, q) + np.diag(np.square(std / amplitude)))
@@ -58,7 +58,7 @@ def angles(joints: Series | None, t: Array, delay: float = 0.0) -> Array:
 
 
 def _moves(angle: Array) -> bool:
-    """Whether angles (n,) rad move: far, or steadily, as noise does not (of that, von Neumann's ratio is 2)."""
+    """Whether angles (n,) rad move: far, or steadily, unlike white noise (von Neumann's ratio 2)."""
     variance = float(angle.var())
     steadily = float(np.square(np.diff(angle)).mean()) < variance
     return variance > _FAR**2 or (variance > _MOVES**2 and steadily)
@@ -72,21 +72,21 @@ def explained_share(q: Array, y: Array, width: float) -> float:
     if len(y) < _FEWEST or not q.shape[1] or stands_still(y, width):
         return 0.0
     rest, centred = residuals(q, y, width), y - np.median(y, axis=0)
-    # a sample counts at most as much as the usual one: a few foreign places must not decide
+    # no sample outweighs the usual one: a few foreign places must not decide
     total = (centred**2).sum(axis=1)
     lost = np.minimum((rest**2).sum(axis=1), 4 * max(float(total.mean()), 1e-9))
     return float(np.clip(1 - lost.sum() / max(float(total.sum()), 1e-9), 0.0, 1.0))
 
 
 def stands_still(y: Array, width: float) -> bool:
-    """Whether places y (n,2) px are those of a thing that stands: light and compression move it a little."""
+    """Whether places y (n,2) px are those of a thing that stands still, apart from light and compression."""
     return float(np.hypot(*y.std(axis=0))) < max(1.0, _STILL * width)
 
 
 def beyond_chance(q: Array, frames: Array, y: Array, width: float) -> float:
-    """The share (0..1) of what is left to explain that angles q (N,M) explain of places y (n,2) px in some frames (n,).
+    """The share (0..1) that angles q (N,M) explain of places y (n,2) px in some frames (n,), beyond chance.
 
-    Angles of other times explain the rest as well: a slow path is a smooth function of any slow angles.
+    Chance is what time-shifted angles explain: a slow path is a smooth function of any slow angles.
     """
     shifts = [round(len(q) * part) for part in (0.25, 0.5, 0.75)]
     chance = max(explained_share(np.roll(q, shift, axis=0)[frames], y, width) for shift in shifts)
@@ -94,7 +94,7 @@ def beyond_chance(q: Array, frames: Array, y: Array, width: float) -> float:
 
 
 def residuals(q: Array, y: Array, width: float) -> Array:
-    """Places y (n,2) px less what angles q (n,M) explain of them from the other blocks of time: (n,2)."""
+    """Residuals (n,2) px of places y (n,2) px, predicted from angles q (n,M) of the other blocks of time."""
     some = thinned(len(y), _MOST)
     kernel, label = _kernel(q, q[some]), np.arange(len(y)) * _BLOCKS // len(y)
     noise = np.square(_noise(width) / (_AMPLITUDE * width))
@@ -110,7 +110,7 @@ def residuals(q: Array, y: Array, width: float) -> Array:
 
 
 def delay(joints: Series | None, t: Array, y: Array, width: float) -> float:
-    """How much later (s) than the joints the camera stamps places y (n,2) px at t (n,): 0 where none is clearly so."""
+    """The delay (s) of the camera's timestamps t (n,), of places y (n,2) px, against the joints'; 0 if unclear."""
     some = thinned(len(t), _MOST // 2)
     errors = []
     for late in _DELAYS.tolist():
@@ -121,13 +121,13 @@ def delay(joints: Series | None, t: Array, y: Array, width: float) -> float:
 
 
 def regression(q: Array, y: Array, std: Array, width: float) -> Regression:
-    """The function of angles q (n,M) through at most _MOST of the places y (n,2) px with noise std (n,) px."""
+    """Fit a function of angles q (n,M) to at most _MOST of the places y (n,2) px with noise std (n,) px."""
     some = thinned(len(y), _MOST)
     return Regression.fit(q[some], y[some], np.hypot(std[some], _noise(width)), _AMPLITUDE * width)
 
 
 def thinned(count: int, most: int) -> Array:
-    """At most so many of so many indices, evenly."""
+    """At most `most` of `count` indices, evenly spaced."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
@@ -136,6 +136,6 @@ def _noise(width: float) -> float:
 
 
 def _kernel(a: Array, b: Array) -> Array:
-    # by differences: of far angles the squares' expansion leaves rounding alone, and no matrix that has a factor
+    # by differences: the expanded squares of far angles lose all digits, and the matrix its Cholesky factor
     square = sum(np.square(np.subtract.outer(x, y)) for x, y in zip(a.T, b.T, strict=True))
     return np.asarray(np.exp(-0.5 / _LENGTH**2 * square))

@@ -1,4 +1,4 @@
-"""How far a track's points scatter, steadied over time: one picture's outline alone says it only roughly."""
+"""Smooth a track's standard deviations over time: one image's outline gives only a rough one."""
 
 import numpy as np
 
@@ -10,10 +10,10 @@ _AT_ONCE = 1024
 
 
 def steady(t: Array, std: Array) -> Array:
-    """std (N,2) px as it usually is within half a second, or its own where that is far more; NaN rows stay NaN.
+    """The usual std (N,2) px within half a second, or a point's own where that is far larger; NaN rows stay NaN.
 
-    What is usual is the mean variance without what is far more than the median: outlines that differ from picture to
-    picture average out, and those of a still target, which hardly differ, keep their one value.
+    The usual variance is the mean without values far above the median: outlines that differ from image to
+    image average out, and those of a still target keep their one value.
     """
     seen = np.isfinite(std[:, 0])
     times, own = t[seen], std[seen]

@@ -1,4 +1,4 @@
-"""Which blob is the target: blobs linked to runs through time, runs judged by size and motion."""
+"""Select the target's blob: blobs are linked to runs through time, runs compared by size and motion."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -147,7 +147,7 @@ def _winner(first: _Run, second: _Run) -> int | None:
 
 
 def _extent(run: _Run) -> float:
-    """How far (px) a run strays: the larger of its central 80 % ranges in u and v."""
+    """A run's extent (px): the larger of its central 80 % ranges in u and v."""
     low, high = np.quantile(run.table[:, [U, V]], (0.1, 0.9), axis=0)
     return float((high - low).max())
 
@@ -165,7 +165,7 @@ def _of_right_size(runs: list[_Run], why: Array) -> list[_Run]:
 
 
 def _reachable(t: Array, runs: list[_Run], reach: float, why: Array) -> list[_Run]:
-    """The runs without still ones, in a log that moves, that the target cannot have jumped to at its speed."""
+    """Drop still runs of a moving log that the target cannot reach at its speed."""
     speed = 2.0 * max(_fastest(t, run) for run in runs)
     moving = max(_extent(run) for run in runs) > _MOVING
     kept: list[_Run] = []
@@ -210,7 +210,7 @@ def _drop_partly_hidden(t: Array, track: Array, mass: Array, why: Array) -> None
 
 
 def _vanishing(mass: Array, most: float) -> Array:
-    """Indices beside unseen frames whose area is a share `most` short of the two seen frames' next to them."""
+    """Indices beside unseen frames whose area is a share `most` below that of the two seen frames next to them."""
     mass, found = mass.copy(), []
     for _ in range(3):
         padded = np.pad(mass, 2, constant_values=np.nan)

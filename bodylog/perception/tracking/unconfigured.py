@@ -1,4 +1,4 @@
-"""What to follow where nothing is configured and the default colour is not the arm's: what moves as the joints do."""
+"""What to track when nothing is configured and the default colour is not on the arm: what moves with the joints."""
 
 from typing import NamedTuple
 
@@ -16,14 +16,14 @@ _CLEARLY = 0.5
 
 
 class Alternative(NamedTuple):
-    """Why the effector's track is not the arm's, and what else there is to see."""
+    """Why the effector's track is not on the arm, and what else the images show."""
 
     why: str
     survey: Survey
 
 
 def find_alternative(recording: Recording, features: Features, settings: Settings) -> Alternative | None:
-    """What else a recording shows where the effector's track is not the arm's; None where it may be."""
+    """What else a recording shows when the effector's track is not on the arm; None when it may be."""
     effector, size = features.effector, features.picture_size
     if effector is None or size is None or not (why := _foreign(recording, effector, size[0])):
         return None
@@ -34,7 +34,7 @@ def find_alternative(recording: Recording, features: Features, settings: Setting
 
 
 def _foreign(recording: Recording, track: Series, width: float) -> str:
-    """Why a track is not the arm's; "" where it may be."""
+    """Why a track is not on the arm; "" when it may be."""
     q = joint_motion.angles(recording.joints, track.t)
     frames = np.flatnonzero(np.isfinite(track.values[:, 0]))
     if not q.shape[1]:

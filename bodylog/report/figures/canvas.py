@@ -1,4 +1,4 @@
-"""A blank matplotlib figure that is saved whole, without a display, and with the same bytes for the same drawing."""
+"""A blank matplotlib figure, saved atomically, without a display, and with the same bytes for the same drawing."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,14 +13,14 @@ FORMATS = {
     ".png": {"format": "png", "metadata": {"Software": None}},
     ".svg": {"format": "svg", "metadata": {"Date": None, "Creator": None}},
 }
-"""Suffix -> how matplotlib is told to write it without dates or version stamps."""
+"""Suffix -> arguments for matplotlib that leave out dates and version stamps."""
 
 INK, FELT, SEEN = "#20262e", "#e07b1f", "#7a52c7"
 LINES = ("#1f77d0", "#d1495b", "#2a9d68", "#b5862a", "#7a52c7", "#159aa8", "#d267b0", "#6b7280")
 
 _STYLE = {
     "svg.hashsalt": "bodylog",
-    "text.parse_math": False,  # names from a log are text, whatever dollars they hold
+    "text.parse_math": False,  # names from a log are text, even with dollar signs
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -44,7 +44,7 @@ def figure(out: Path, width: float, height: float) -> Iterator[Any]:
     _known(out)
     matplotlib = _matplotlib()
     with matplotlib.rc_context():
-        matplotlib.rcdefaults()  # whatever the user's matplotlibrc says: same input, same bytes
+        matplotlib.rcdefaults()  # independent of the user's matplotlibrc: same input, same bytes
         matplotlib.rcParams.update(_STYLE)
         drawing = matplotlib.figure.Figure(figsize=(width, height), layout="constrained")
         matplotlib.backends.backend_agg.FigureCanvasAgg(drawing)
@@ -61,14 +61,14 @@ def label(name: str, longest: int = 40) -> str:
 
 
 def colour(name: str, index: int) -> str:
-    """The colour of a track by its name, of anything else by its place."""
+    """The colour of a track by its name, of any other line by its index."""
     return MEASURED[name].plot if name in MEASURED else LINES[index % len(LINES)]
 
 
 def _known(out: Path) -> None:
     if out.suffix.lower() not in FORMATS:
         better = " or ".join(str(out.with_suffix(suffix)) for suffix in FORMATS)
-        raise UsageError(f"{out}: '{out.suffix}' is not a kind of figure; type: {better}")
+        raise UsageError(f"{out}: '{out.suffix}' is not a format for figures; type: {better}")
 
 
 def _matplotlib() -> Any:
@@ -77,7 +77,7 @@ def _matplotlib() -> Any:
         import matplotlib.backends.backend_agg
         import matplotlib.figure
     except ImportError:
-        raise UsageError("no matplotlib to draw figures with; type: pip install 'bodylog[report]'") from None
+        raise UsageError("figures need matplotlib; type: pip install 'bodylog[report]'") from None
     return matplotlib
 
 
@@ -85,6 +85,6 @@ def _save(drawing: Any, path: Path, suffix: str) -> None:
     import warnings
 
     with warnings.catch_warnings():
-        # a name in a script the font lacks is drawn as boxes: no reason to talk
+        # a name in a script the font lacks is drawn as boxes, without a warning
         warnings.filterwarnings("ignore", message="(Glyph|Matplotlib currently does not support)", category=UserWarning)
         drawing.savefig(path, **FORMATS[suffix])

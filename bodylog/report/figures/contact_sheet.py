@@ -14,7 +14,7 @@ _ARM, _OTHER = (80, 230, 80), (190, 190, 190)
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """One candidate: the text below the images, whether it is the arm's, where it is in each image (n,2) px or NaN."""
+    """One candidate: caption, whether it is on the arm, its place in each image (n,2) px or NaN."""
 
     text: str
     arm: bool
@@ -67,7 +67,7 @@ def _write(image: Array, text: str, at: tuple[int, int], colour: tuple[int, int,
 
 
 def _within(image: Array, size: Array) -> Array:
-    """The picture in the upper left corner of a black one of that size (H,W,3)."""
+    """The image in the upper left corner of a black one of that size (H,W,3)."""
     whole = np.zeros(size, np.uint8)
     whole[: image.shape[0], : image.shape[1]] = image
     return whole

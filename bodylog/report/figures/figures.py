@@ -22,7 +22,7 @@ _GRID = 61
 
 
 def recording_figure(recording: Recording, features: Features, out: Path) -> None:
-    """Draw a log as the paper's figure 3: joints, pixels, skin, events, trajectories; what is absent is left out."""
+    """Draw a log as the paper's figure 3: joints, pixels, skin, events, trajectories; absent ones are left out."""
     panels = _recording_panels(recording, features)
     tracks = seen_tracks(features)
     if not panels:
@@ -38,7 +38,7 @@ def recording_figure(recording: Recording, features: Features, out: Path) -> Non
 def body_figure(body: BodyModel, out: Path, sheets: Sequence[Sheet] = (), zeros: Sequence[Zero] = ()) -> None:
     """Draw each output's mean and standard deviation over the two joints that moved most, with its samples.
 
-    With a URDF, beside it the reprojection of every track and the joints' zeros.
+    With a URDF, also the reprojection of every track and the joints' zeros.
     """
     if len(body.joints) < 2:
         raise ModelError(f"body of {len(body.joints)} joint: a surface needs two; type: bodylog fit LOG --joints a,b")
@@ -55,7 +55,7 @@ def body_figure(body: BodyModel, out: Path, sheets: Sequence[Sheet] = (), zeros:
 
 
 def reprojection_figure(sheets: Sequence[Sheet], zeros: Sequence[Zero], out: Path) -> None:
-    """Draw each track in the image plane with what kinematics, and kinematics with the process, leave; the zeros."""
+    """Draw each track's residuals in the image plane, of kinematics alone and with the process, and the zeros."""
     panels = _kinematic(sheets, zeros)
     with figure(out, 9.0, 0.4 + 3.6 * -(-len(panels) // 2)) as drawing:
         grid = drawing.add_gridspec(-(-len(panels) // 2), 2)
@@ -116,7 +116,7 @@ def _stack(drawing: Any, grid: Any, panels: list[Panel], duration: float | None,
 def _surface(drawing: Any, row: Any, joints: tuple[str, ...], title: str, model: ForwardModel, d: int) -> None:
     samples = getattr(model, "samples", None)
     first, second, x = _lattice(samples, len(joints))
-    means, _, variances = zip(*(model.predict(line) for line in x), strict=True)  # by line: little memory at any n
+    means, _, variances = zip(*(model.predict(line) for line in x), strict=True)  # by line, to bound the memory
     drawn = {"mean": np.stack(means)[..., d], "standard deviation": np.sqrt(np.stack(variances)[..., d])}
     for cell, (what, values), cmap in zip(row.subgridspec(1, 2), drawn.items(), ("viridis", "magma"), strict=True):
         ax = drawing.add_subplot(cell)

@@ -40,12 +40,12 @@ def pixels(features: Features, ax: Any) -> None:
 
 
 def skin(skin: Series, ax: Any) -> None:
-    """Every cell's reading: lines of a few cells, a picture of many."""
+    """Every cell's reading: lines of a few cells, a heat map of many."""
     cells = skin.values.shape[1]
     if cells < 5:
         return signals(skin, "skin, 0..1", ax)
     edges, highest = _peaks(skin)
-    shown = np.where(np.isnan(highest.T), np.nan, np.clip(highest.T, 0, 1))  # a NaN of bits that flipped is not quiet
+    shown = np.where(np.isnan(highest.T), np.nan, np.clip(highest.T, 0, 1))  # clipping a signalling NaN warns
     image = ax.pcolormesh(edges, np.arange(cells + 1) - 0.5, shown, cmap="magma_r", vmin=0, vmax=1, rasterized=True)
     ax.figure.colorbar(image, ax=ax, pad=0.01, label="proximity")
     ax.set_ylabel("skin cell")
@@ -78,7 +78,7 @@ def events(features: Features, ax: Any) -> None:
 
 
 def trajectories(tracks: dict[str, Series], strokes: tuple[Stroke, ...], ax: Any) -> None:
-    """Tracks in the picture plane, v down, with where they and the strokes start and end."""
+    """Tracks in the image plane, v down, with the starts and ends of tracks and strokes."""
     for i, (name, track) in enumerate(tracks.items()):
         seen = track.values[np.isfinite(track.values).all(axis=1)]
         keep = np.union1d(extremes(track.values[:, 0], _POINTS), extremes(track.values[:, 1], _POINTS))

@@ -18,7 +18,7 @@ _ZEROS = 64
 _ALONE, _BOTH, _RULE = LINES[4], PREDICTED.plot, "#6b7280"
 _WIDTH, _HEIGHT, _SIDE = 460.0, 345.0, 345.0
 _LONG = 0.06
-"""Share of the image's width that a large residual is drawn as."""
+"""Length of a large residual as drawn, as a share of the tracks' extent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +37,12 @@ class Sheet:
 
     @property
     def errors(self) -> tuple[float, float]:
-        """RMS (px) of the distance that kinematics alone leaves, and that with the process leaves."""
+        """RMS residual (px) of kinematics alone, and with the process."""
         return _rms(self.measured - self.kinematics), _rms(self.measured - self.both)
 
     @property
     def magnified(self) -> float:
-        """How many times longer than they are residuals are drawn: 1, 2, 5, 10, …"""
+        """Magnification of drawn residuals: 1, 2, 5, 10, …"""
         extent = float(np.ptp(self.measured, axis=0).max(initial=1.0))
         size = max(float(np.quantile(np.linalg.norm(self.measured - self.kinematics, axis=1), 0.9)), 1e-6)
         most = max(_LONG * extent / size, 1.0)
@@ -73,7 +73,7 @@ class Zero:
 
 
 def sheets(features: Features, estimate: Estimate) -> tuple[Sheet, ...]:
-    """Of every track that kinematics foretells what was seen of it beside what was expected before it was."""
+    """For every track that kinematics predicts: measurements and predictions."""
     found = []
     for name, alone in estimate.kinematic.items():
         track, both = features.tracks.get(name), estimate.predicted.get(name)
@@ -89,7 +89,7 @@ def sheets(features: Features, estimate: Estimate) -> tuple[Sheet, ...]:
 
 
 def zeros(entries: Any) -> tuple[Zero, ...]:
-    """The zeros of a mapping {joint: {value, std, unit, confused_with}} as a file has it; what is none is left out."""
+    """The zeros in a file's mapping {joint: {value, std, unit, confused_with}}; invalid entries are left out."""
     found = []
     for joint, one in list(entries.items())[:_ZEROS] if isinstance(entries, Mapping) else ():
         value, std = (one.get("value"), one.get("std")) if isinstance(one, Mapping) else (None, None)
@@ -102,7 +102,7 @@ def zeros(entries: Any) -> tuple[Zero, ...]:
 
 
 def section(drawn: Sequence[Sheet], offsets: Sequence[Zero]) -> str:
-    """The sheet as part of a page, every name escaped; nothing where there is nothing to show."""
+    """The sheets as part of a page, every name escaped; "" where there is nothing to show."""
     body = "\n".join(_figure(sheet.some()) for sheet in drawn[:TRACKS])
     left = f'<p class="soft">Drawn: the first {TRACKS} of {len(drawn)} tracks.</p>' if len(drawn) > TRACKS else ""
     key = "dot: measured · violet: by kinematics alone · yellow: with the process; lines lead from measured to expected"
@@ -140,7 +140,7 @@ def _plane(sheet: Sheet, times: float) -> Iterator[str]:
 
 
 def _residuals(sheet: Sheet) -> Iterator[str]:
-    """Residuals about nought, px, with a ring at a round distance."""
+    """Residuals around zero, px, with a ring at a round distance."""
     left, reach = [sheet.kinematics - sheet.measured, sheet.both - sheet.measured], _reach(sheet)
     scale, centre = 0.45 * _SIDE / reach, np.array([_WIDTH + 10 + _SIDE / 2, _HEIGHT / 2])
     ring = 10.0 ** np.floor(np.log10(reach))
@@ -171,7 +171,7 @@ def plane(sheet: Sheet, ax: Any) -> None:
 
 
 def residuals(sheet: Sheet, ax: Any) -> None:
-    """What is left of one track, px, in a figure."""
+    """The residuals of one track, px, in a figure."""
     alone, both = sheet.errors
     for expected, ink, what in (
         (sheet.kinematics, _ALONE, f"kinematics: {alone:.2f} px RMS"), (sheet.both, _BOTH, f"with process: {both:.2f}"),
@@ -202,7 +202,7 @@ def _number(value: Any) -> bool:
 
 
 def _reach(sheet: Sheet) -> float:
-    """px about nought that holds nearly all residuals: the first of a log, before which nothing is known, is far."""
+    """px around zero that hold nearly all residuals; the first of a log are far off."""
     left = np.concatenate([sheet.kinematics - sheet.measured, sheet.both - sheet.measured])
     return max(1.1 * float(np.quantile(np.linalg.norm(left, axis=1), 0.98)), 1e-3)
 

@@ -1,4 +1,4 @@
-"""A still arm whose encoders start with wrong angles, while a hand strokes it: how each sense corrects the start."""
+"""A still arm whose encoders start with wrong angles while a hand strokes it: how each sense corrects the start."""
 
 import numpy as np
 

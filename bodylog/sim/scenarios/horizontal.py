@@ -1,4 +1,4 @@
-"""Exploration that never moves the elbow: what vision can then not say about it."""
+"""Exploration that never moves the elbow, about which vision then gives no information."""
 
 import numpy as np
 

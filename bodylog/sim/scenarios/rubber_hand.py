@@ -1,6 +1,6 @@
-"""The rubber-hand illusion: a hidden, still arm is stroked while the picture shows a hand stroke another place.
+"""The rubber-hand illusion: a hidden, still arm is stroked while the image shows a hand stroke another place.
 
-Five seconds of nothing, then strokes; asynchronous pictures are 0.4 to 1 s late.
+Five seconds without touch, then strokes; asynchronous images are 0.4 to 1 s late.
 """
 
 import numpy as np

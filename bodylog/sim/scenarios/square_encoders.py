@@ -1,4 +1,4 @@
-"""Encoders that read the square of the angle: its size can be told from them, its sign cannot."""
+"""Encoders that read the square of the angle: its size is identifiable, its sign is not."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A still arm, stroked next to its end effector; the picture in time with the skin, or late."""
+"""A still arm, stroked next to its end effector; images in time with the skin, or late."""
 
 import numpy as np
 
