@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from . import change_findings, default_features, effector_poses
+from . import change_findings, default_features, effector_poses, verdict
 from .body_model import BodyModel
 from .checks import (
     distinct,
@@ -33,7 +33,10 @@ from .written_messages import estimate_messages, feature_messages, provenance, t
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a command did: the file it left, figures of merit, health per topic, remarks, faults named."""
+    """The result of a command: file written, scores, health per topic, findings, faults, verdict in sentences.
+
+    `figures` are all that a bound may name: scores, faults, delays, shares used.
+    """
 
     output: Path | None
     scores: tuple[Score, ...] = ()
@@ -42,6 +45,7 @@ class Result:
     settings: Mapping[str, Any] = field(default_factory=dict)
     faults: tuple[Fault, ...] = ()
     figures: tuple[Score, ...] = ()
+    verdict: tuple[str, ...] = ()
 
 
 def record(scenario: str, out: Path, **options: Any) -> Result:
@@ -136,8 +140,10 @@ def fit(
     learned = replace(learned, model=robot_model.based(learned.model, robot, features))
     tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
     storage.save(learned.model, out)
-    said = (*findings, *remarks, *unfit, *learned.findings, *more)
-    return Result(out, (*learned.scores, *tested), _merged(observed), said, plain(settings))
+    found_too = (*findings, *remarks, *unfit, *learned.findings, *more)
+    scores = (*learned.scores, *tested)
+    text = verdict.of_body(learned.model.joints, scores)
+    return Result(out, scores, _merged(observed), found_too, plain(settings), verdict=text)
 
 
 def _tested(
@@ -184,7 +190,7 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
         )
     remarks = (*read.findings, *features.findings, *cameras, *found.findings, *fault_warnings(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
-    return Result(out, scores, health, remarks, dict(found.settings), found.faults, bounded(found, scores))
+    return judged(out, found, scores, health, remarks)
 
 
 def _estimated(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
@@ -212,6 +218,14 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     return replace(found, settings={**found.settings, READ: "as learned"}, findings=(*found.findings, said))
 
 
+def judged(
+    out: Path, found: Estimate, scores: tuple[Score, ...], health: Mapping[str, Health], findings: Sequence[Finding]
+) -> Result:
+    """An estimate's result with all figures that bounds may name, and its verdict."""
+    figures, text = bounded(found, scores), verdict.of_estimate(found, scores)
+    return Result(out, scores, health, tuple(findings), dict(found.settings), found.faults, figures, text)
+
+
 def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result:
     """Score the estimate an annotated log carries; `truth`: a table, arrays or a log that has the true angles."""
     from .annotating import read_back
@@ -224,7 +238,7 @@ def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result
         read = against(truth, found, read, settings)
     remarks = (*read.findings, *fault_warnings(found.faults), *truth_findings(found, read.truth))
     scores = score_estimate(found, read)
-    return Result(log, scores, found.used, remarks, dict(found.settings), found.faults, bounded(found, scores))
+    return judged(log, found, scores, found.used, remarks)
 
 
 def ingest(

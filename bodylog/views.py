@@ -13,13 +13,14 @@ from .body_model import BodyModel
 from .checks import distinct, log_context
 from .default_features import toml_line
 from .errors import EvidenceError, FormatError, LogError
+from .fault_findings import fault_warnings
 from .io.atomic_files import ensure_dir, is_archive
 from .io.outputs import Output
 from .io.remote import errors_about
 from .io.temporary import scratch
 from .logs.topic_names import PREFIX
 from .observed import Progress
-from .pipeline import Result, doctor, folders, ingest, observe
+from .pipeline import Result, doctor, folders, ingest, judged, observe
 from .scoring import score_estimate
 from .settings import Settings, plain
 from .types import Estimate, Features, Finding, Recording
@@ -81,7 +82,7 @@ def report(log: Path, out: Path, settings: Settings, figures: Path | None = None
     page.write(out, found, features, read, score_estimate(found, read), shown, read_back.read_metadata(log))
     if figures is not None:
         _figures(figures, read, features, found, shown)
-    return Result(out, score_estimate(found, read), found.used, read.findings)
+    return judged(out, found, score_estimate(found, read), found.used, (*read.findings, *fault_warnings(found.faults)))
 
 
 def layout(log: Path, out: Path, settings: Settings) -> Result:

@@ -17,12 +17,12 @@ _RARELY = 100_000
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the contract's code: 0, 1, 2, 3, 4, 65, 73 or 74; 128 + n for signal n."""
-    code, told = 0, None
+    code, signalled = 0, None
     try:
         from bodylog.runtime import signals
 
-        told = signals.received_signal
-        _heed()
+        signalled = signals.received_signal
+        _raise_on_signals()
         from bodylog.runtime import malloc, sigbus
 
         malloc.tune_malloc()
@@ -34,18 +34,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if sigbus.zeroed_pages() and code in (0, 3, 4):
             code = _unread()
     except BaseException as problem:
-        if not (told and told()) and not isinstance(problem, KeyboardInterrupt):
+        if not (signalled and signalled()) and not isinstance(problem, KeyboardInterrupt):
             raise
         code = 128 + signal.SIGINT
-    if told and told():
-        code = 128 + told()
+    if signalled and signalled():
+        code = 128 + signalled()
         signals.clean()
     gc.freeze()  # what is left is looked through once more on the way out, for nothing
     sys.exit(code)
 
 
-def _heed() -> None:
-    """Signals end the command as they should, but for those that whoever started it has it ignore."""
+def _raise_on_signals() -> None:
+    """Let signals end the command, apart from those that its caller ignores."""
     from bodylog.runtime import signals
 
     plain = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
@@ -53,12 +53,12 @@ def _heed() -> None:
 
 
 def _unread() -> int:
-    """Say that the result is none."""
+    """Print that the result is unusable."""
     from bodylog.errors import LogError
 
-    from .output import say
+    from .output import print_error
 
-    say(LogError("part of a file could not be read, so what was written of it is wrong; check the disk it is on"))
+    print_error(LogError("part of a file could not be read, so the output is wrong; check the disk it is on"))
     return LogError.exit_code
 
 
@@ -69,14 +69,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
     from bodylog.errors import BodylogError, InputError, WriteError
     from bodylog.io.atomic_files import FULL
 
-    from .commands import Unheard, bodylog
-    from .output import line, say
+    from .commands import NoReader, bodylog
+    from .output import line, print_error
 
     try:
         code = bodylog.main(arguments, prog_name="bodylog", standalone_mode=False)
         return code if isinstance(code, int) else 0
     except BodylogError as err:
-        say(err)
+        print_error(err)
         return err.exit_code
     except click.ClickException as err:
         context = getattr(err, "ctx", None)
@@ -87,14 +87,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
         line("bodylog: interrupted; nothing half-written was left", err=True)
         return 130
     except MemoryError as err:
-        say(MemoryError(f"there is not enough memory ({err}); give a lower --rate or a shorter log"))
+        print_error(MemoryError(f"there is not enough memory ({err}); give a lower --rate or a shorter log"))
         return 65
-    except Unheard:
+    except NoReader:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as err:
         full = err.errno in FULL
         if err.filename is None and not full:
             raise
-        say(OSError(f"{os.fsdecode(err.filename or 'output')}: {err.strerror}"))
+        print_error(OSError(f"{os.fsdecode(err.filename or 'output')}: {err.strerror}"))
         return (WriteError if full else InputError).exit_code

@@ -34,26 +34,27 @@ if TYPE_CHECKING:
 def batch(
     logs: tuple[str, ...], memory: str | None, shard: str, common: options.Common, as_json: bool, **typed: Any
 ) -> int:
-    """Estimate, score and report on many logs: a row each in results.jsonl, junit.xml and summary.html.
+    """Estimate, score and report on many logs.
+
+    Each log gets a row in results.jsonl, junit.xml and summary.html.
 
     A single batch.toml instead of logs names groups of them, each with its own body, methods and bounds.
     """
     from bodylog.batch import Plan, exit_code
     from bodylog.batch import batch as run
-    from bodylog.pipeline import Result
 
-    from .output import as_data, data
+    from .output import print_json, verbosity
 
     how = {key: typed.pop(key) for key in ("out", "workers", "scheduler", "resume", "keep_going")}
     what = {key: typed.pop(key) for key in ("body", "train", "bounds")}
     groups = _groups(logs, common.settings(estimate=estimation(typed)), what)
     read = tuple(path for path in (*map(Path, logs), common.config_file) if path is not None and path.is_file())
     plan = Plan(groups=groups, shard=_shard(shard), memory=_bytes(memory), inputs=read, **how)
-    rows = run(plan, _tell)
+    rows = run(plan, _print_row)
     if as_json:
-        data(as_data(Result(plan.out)) | {"rows": rows})
-    else:
-        _summary(rows)
+        print_json([_entry(row, plan.out) for row in rows])
+    elif verbosity() >= 0:
+        _summary(rows, plan.out)
     return exit_code(rows)
 
 
@@ -67,21 +68,48 @@ def _groups(logs: tuple[str, ...], settings: "Settings", what: dict[str, Any]) -
     return manifest.load(Path(logs[0]), settings)
 
 
-def _tell(row: dict[str, Any], done: int, total: int) -> None:
-    from .output import line
+def _print_row(row: dict[str, Any], done: int, total: int) -> None:
+    from .output import line, verbosity
 
-    line(f"[{done}/{total}] {row['name']}: {row['status']}{_why(row)}", err=True)
+    if verbosity() >= 0:
+        line(f"[{done}/{total}] {row['name']}: {row['status']}{_why(row)}", err=True)
 
 
 def _why(row: dict[str, Any]) -> str:
     return f": {row['error'].strip().splitlines()[-1]}" if row["error"] else ""
 
 
-def _summary(rows: list[dict[str, Any]]) -> None:
+def _summary(rows: list[dict[str, Any]], out: Path) -> None:
+    """The verdict on all logs, then a row for each: exit code, error (rad), name, status."""
+    from bodylog.verdict import of_batch
+
     from .output import line
 
+    errors = {row["name"]: row["scores"].get("rmse/joint") for row in rows}
+    for text in of_batch(rows, {name: error for name, error in errors.items() if error is not None}):
+        line(text)
     for row in rows:
-        line(f"{row['exit_code']:>3}  {row['name']}  {row['status']}{_why(row)}")
+        error = "-" if errors[row["name"]] is None else f"{errors[row['name']]:.4g} rad"
+        line(f"{row['exit_code']:>3}  {error:>12}  {row['name']}  {row['status']}{_why(row)}")
+    line(f"wrote {out / 'summary.html'}", err=True)
+
+
+def _entry(row: dict[str, Any], out: Path) -> dict[str, Any]:
+    """A row as one of the envelope's results; its name, status, exit code and error stand beside."""
+    from bodylog.score_names import unit
+
+    log = out / row["name"] / "annotated.mcap"
+    return {
+        "input": row["log"],
+        "output": str(log) if log.name in row["outputs"] else None,
+        "verdict": row["verdict"],
+        "scores": {name: {"value": value, "unit": unit(name)} for name, value in row["scores"].items()},
+        "health": row["health"],
+        "findings": [{"severity": severity, "text": text} for severity, text in row["findings"]],
+        "faults": row["faults"],
+        "settings": {},
+        **{key: row[key] for key in ("name", "status", "exit_code", "error")},
+    }
 
 
 def _shard(text: str) -> tuple[int, int]:

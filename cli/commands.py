@@ -1,5 +1,6 @@
 """The table of commands."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import click
@@ -27,38 +28,26 @@ from . import (
     reproduce,
     view,
 )
+from .output import VERBOSITY
 from .places import guarded
 
-COMMANDS = (
-    record.record,
-    ingest.ingest,
-    convert.convert,
-    info.info,
-    doctor.doctor,
-    features.features,
-    features.colours,
-    extract.extract,
-    fit.fit,
-    estimate.estimate,
-    evaluate.evaluate,
-    compare.compare,
-    plot.plot,
-    report.report,
-    layout.layout,
-    offsets.offsets,
-    view.view,
-    batch.batch,
-    reproduce.reproduce,
-    config.config,
-)
+GROUPS: Mapping[str, tuple[click.Command, ...]] = {
+    "Record": (record.record, record.simulate, ingest.ingest, convert.convert),
+    "Look": (info.info, doctor.doctor, features.features, features.colours, plot.plot, view.view),
+    "Learn": (extract.extract, fit.fit, offsets.offsets),
+    "Estimate": (estimate.estimate, config.config),
+    "Judge": (evaluate.evaluate, compare.compare, report.report, layout.layout),
+    "Many logs": (batch.batch, reproduce.reproduce),
+}
+"""Commands in the order of work."""
 
 
-class Unheard(Exception):
-    """Nobody reads standard output any more."""
+class NoReader(Exception):
+    """Standard output has no reader any more."""
 
 
 class Commands(click.Group):
-    """A group that raises Unheard when the reader of standard output leaves; click itself would end with 1.
+    """A group that raises NoReader when the reader of standard output leaves; click itself would end with 1.
 
     Without a command it prints its help on standard error and ends with 2: click before 8.2 ends with 0.
     """
@@ -71,17 +60,37 @@ class Commands(click.Group):
         return super().parse_args(ctx, args)
 
     def add_command(self, cmd: click.Command, name: str | None = None) -> None:
-        """A further command, which does not begin before its outputs are known to be no inputs."""
+        """Add a command with -q and -v; it starts once its outputs are known to differ from its inputs."""
+        cmd.params += [
+            _verbosity("-q", "--quiet", -1, "Print errors alone."),
+            _verbosity("-v", "--verbose", 1, "Print all remarks."),
+        ]
         if cmd.callback is not None:
             cmd.callback = guarded(cmd.callback)
         super().add_command(cmd, name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands in the order of work, each with its whole summary."""
+        for title, commands in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(str(one.name), one.get_short_help_str(limit=200)) for one in commands])
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that was typed."""
         try:
             return super().invoke(ctx)
         except BrokenPipeError as err:
-            raise Unheard from err
+            raise NoReader from err
+
+
+def _verbosity(short: str, long: str, level: int, help_: str) -> click.Option:
+    """An option that sets how much a command prints."""
+
+    def keep(context: click.Context, _option: click.Parameter, given: bool) -> None:
+        if given:
+            context.meta[VERBOSITY] = level
+
+    return click.Option([short, long], is_flag=True, expose_value=False, callback=keep, help=help_)
 
 
 @click.group(
@@ -94,5 +103,5 @@ def bodylog() -> None:
     """Where was the robot's body, how sure is that, and which sensor lied: from any log (.bag, rosbag2, .mcap)."""
 
 
-for _command in COMMANDS:
+for _command in (command for commands in GROUPS.values() for command in commands):
     bodylog.add_command(_command)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from bodylog.compare import Row
 
 COLUMNS = ("rmse/joint", "nees/joint", "coverage_2sigma/joint", "log_evidence", "log_density/held_out")
+WIDTH = max(map(len, COLUMNS))
 
 
 @click.command(epilog="Example: bodylog compare run.bag --body body.npz")
@@ -23,37 +24,38 @@ COLUMNS = ("rmse/joint", "nees/joint", "coverage_2sigma/joint", "log_evidence", 
 @delay_option
 @options.common_options
 def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int:
-    """Every method with every subset of senses on one log, in one table.
+    """Compare every method and set of senses on a log.
 
     log_density/held_out needs no truth: the mean log density (nats) of images withheld from the method, one in five.
-    log_evidence is about what a row heard: hold it against rows of the same senses. seconds are of the processor, for
-    the estimate alone.
+    Compare log_evidence between rows of the same senses. seconds are processor time of the estimate.
     """
     from bodylog import compare as comparison
     from bodylog.pipeline import Result
 
-    from .output import as_data, data, lost, progress, talk
+    from .output import entry, lost, print_json, progress, warn
 
     with progress("compare") as tick:
         rows, findings = comparison.compare(log, body, common.settings(), tick, None if as_json else _line())
-    talk(findings)
+    warn(findings)
     if as_json:
-        data(as_data(Result(None, findings=findings)) | {"rows": [_plain(row) for row in rows]})
+        print_json([entry(Result(None, findings=findings), log) | {"rows": [_plain(row) for row in rows]}])
     return lost(findings)
 
 
 def _plain(row: "Row") -> dict[str, Any]:
-    scores = {score.name: score.value for score in row.scores}
+    from .output import scores_by_name
+
+    scores = scores_by_name(row.scores)
     return {"method": row.method, "senses": row.senses, "seconds": row.seconds, "scores": scores}
 
 
 def _line() -> "Callable[[Row], None]":
-    """Prints a row of the table, before the first one what its columns are."""
-    head = [f"{'method':<18} {'senses':<24} " + " ".join(f"{name:>15}" for name in COLUMNS) + f" {'seconds':>9}"]
+    """A function that prints a row, and the head before the first one."""
+    head = [f"{'method':<18} {'senses':<24} " + " ".join(f"{name:>{WIDTH}}" for name in COLUMNS) + f" {'seconds':>9}"]
 
     def line(row: "Row") -> None:
         scores = {score.name: score.value for score in row.scores}
-        cells = " ".join(f"{scores[name]:>15.5g}" if name in scores else f"{'-':>15}" for name in COLUMNS)
+        cells = " ".join(f"{scores[name]:>{WIDTH}.5g}" if name in scores else f"{'-':>{WIDTH}}" for name in COLUMNS)
         while head:
             click.echo(head.pop())
         click.echo(f"{row.method:<18} {','.join(row.senses):<24} {cells} {row.seconds:>9.3f}")

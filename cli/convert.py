@@ -30,10 +30,13 @@ def convert(
     common: Common,
     as_json: bool,
 ) -> int:
-    """Write logs in another form: one as an MCAP, or several as the episodes of a LeRobot dataset."""
+    """Write logs as an MCAP or a LeRobot dataset.
+
+    An MCAP takes one log; a dataset takes several as its episodes.
+    """
     from bodylog import pipeline
 
     from .output import show
 
     settings, window = common.settings(), {"start": start, "end": end}
-    return show(pipeline.convert(logs, out, settings, form, how, listed(topics), task, **window), as_json)
+    return show(pipeline.convert(logs, out, settings, form, how, listed(topics), task, **window), logs, as_json)

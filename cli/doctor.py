@@ -12,17 +12,17 @@ from .options import OUT, Common, common_options, logs_argument
 @click.option("--repair", type=OUT, metavar="OUT.mcap", help="Write what is sound of one log there.")
 @common_options
 def doctor(logs: tuple[Path, ...], repair: Path | None, common: Common, as_json: bool) -> int:
-    """What is wrong with a log, and what can be saved of it."""
+    """Find what is wrong with a log, and repair it."""
     from bodylog import pipeline
 
-    from .output import as_data, data, each, line, lost
+    from .output import each, entry, line, lost, print_json
 
     if repair is not None and len(logs) != 1:
         raise click.UsageError("--repair takes exactly one LOG")
     how = common.settings().input
     results, code = each(logs, lambda log: pipeline.doctor(log, repair, how.strict, how))
     if as_json:
-        data([{"path": path, **as_data(result)} for path, result in results.items()])
+        print_json([entry(result, path) for path, result in results.items()])
     else:
         for path, result in results.items():
             count = len(result.findings)

@@ -21,6 +21,7 @@ _URDF = "Without --body: joint limits of this URDF. Default: the log's own, if a
 @fast_option
 @clock_option
 @delay_option
+@options.all_option
 @options.common_options
 def estimate(
     log: Path,
@@ -29,11 +30,15 @@ def estimate(
     out: Path,
     bounds: tuple[str, ...],
     fast: bool | None,
+    full: bool,
     common: options.Common,
     as_json: bool,
     **typed: Any,
 ) -> int:
-    """Replay a log: where the body was, how sure that is, and which sensor lied; written back as an annotated MCAP."""
+    """Estimate angles, error bars and faults of a log.
+
+    The output is the log as an MCAP with the estimate in it. Figures: --all, or evaluate.
+    """
     from bodylog import pipeline
     from bodylog.errors import UsageError
     from bodylog.evaluation import bounds as rules
@@ -47,6 +52,6 @@ def estimate(
     chosen = common.settings(colours={"fast": fast}, kinematics=kinematics, estimate=estimation(typed))
     with progress("estimate") as tick:
         result = pipeline.estimate(log, body, out, chosen, tick)
-    code = show(result, as_json)
+    code = show(result, log, as_json, full)
     rules.check({str(log): result.figures}, wanted)
     return code

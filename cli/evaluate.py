@@ -5,10 +5,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import PATH, Common, common_options, fail_option, logs_argument
+from .options import PATH, Common, all_option, common_options, fail_option, logs_argument
 
 if TYPE_CHECKING:
     from bodylog.pipeline import Result
+
+COLUMNS = ("rmse/joint", "rmse/encoders", "nees/joint", "coverage_2sigma/joint", "faults")
+"""Scores in the table of several logs."""
 
 
 @click.command(epilog="Example: bodylog evaluate run.mcap --fail-if 'rmse/joint>0.02'")
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
 @click.option("--truth", type=PATH, metavar="FILE", help="True angles kept elsewhere: .csv, .npz or a log.")
 @click.option("--baseline", type=PATH, metavar="RESULTS.jsonl", help="A batch's results to be no worse than.")
 @click.option("--tolerance", default="5%", show_default=True, help="By how much an error may grow over the baseline.")
+@all_option
 @common_options
 def evaluate(
     logs: tuple[Path, ...],
@@ -24,29 +28,31 @@ def evaluate(
     truth: Path | None,
     baseline: Path | None,
     tolerance: str,
+    full: bool,
     common: Common,
     as_json: bool,
 ) -> int:
-    """Score annotated logs against the truth they carry, or one kept beside them.
+    """Score estimates against the truth.
 
-    In a batch's folder the logs are OUT/NAME/annotated.mcap; the baseline is looked up by NAME.
+    LOG is what estimate wrote. One log: a verdict; several: a table with a row for each. The truth is the log's own or
+    --truth. The baseline finds a log OUT/NAME/annotated.mcap of a batch by NAME.
     """
     from bodylog import pipeline
     from bodylog.errors import BoundError
     from bodylog.evaluation import baseline as earlier
     from bodylog.evaluation import bounds as rules
 
-    from .output import as_data, data, each, lost, say
+    from .output import each, entry, lost, print_error, print_json, warn
 
     wanted, share = [rules.parse(text) for text in bounds], earlier.tolerance(tolerance)
     before = earlier.load(baseline) if baseline else None
     chosen = common.settings()
     results, refused = each(logs, lambda log: pipeline.evaluate(log, chosen, truth))
     if as_json:
-        shown = [{"path": path, **as_data(result)} for path, result in results.items()]
-        data(shown[0] if len(logs) == 1 else shown)
+        print_json([entry(result, path) for path, result in results.items()])
+        warn([finding for result in results.values() for finding in result.findings])
     else:
-        _print(results)
+        _print(results, full)
     try:
         rules.check({path: result.figures for path, result in results.items()}, wanted)
         if before is not None:
@@ -54,7 +60,7 @@ def evaluate(
     except BoundError as broken:
         if not refused:
             raise
-        say(broken)
+        print_error(broken)
     return refused or max(lost(result.findings) for result in results.values())
 
 
@@ -62,10 +68,27 @@ def _name(log: Path) -> str:
     return log.parent.name if log.name == "annotated.mcap" else log.name
 
 
-def _print(results: "dict[str, Result]") -> None:
-    from .output import line, table, talk
+def _print(results: "dict[str, Result]", full: bool) -> None:
+    """The verdict of one log, or a row for each of several; with --all every score."""
+    from .output import columns, score_table, show_verdict, verbosity, warn
 
-    for path, result in results.items():
-        talk(result.findings, quiet=True)
-        line(path)
-        table(result.scores)
+    if len(results) == 1:
+        show_verdict(next(iter(results.values())))
+    elif verbosity() >= 0:
+        rows = [[path, *(_cell(result, name) for name in COLUMNS)] for path, result in results.items()]
+        columns([["log", *COLUMNS], ["", *map(_unit, COLUMNS)], *rows], left=1)
+        for result in results.values():
+            warn(result.findings)
+    if full and verbosity() >= 0:
+        score_table({path: result.scores for path, result in results.items()})
+
+
+def _unit(name: str) -> str:
+    from bodylog.score_names import unit
+
+    return unit(name)
+
+
+def _cell(result: "Result", name: str) -> str:
+    values = {score.name: score.value for score in (*result.scores, *result.figures)}
+    return f"{values[name]:.4g}" if name in values else "-"

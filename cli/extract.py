@@ -18,11 +18,14 @@ from .setting_options import clock_option, fast_option
 @clock_option
 @common_options
 def extract(log: Path, out: Path, csv: Path | None, fast: bool | None, common: Common, as_json: bool) -> int:
-    """Find effector, hand, touches, strokes and synchrony; write them with the signals, without the pictures."""
+    """Write tracks and touches without the images.
+
+    Tracks of features, touches, strokes and their synchrony stand beside the signals.
+    """
     from bodylog import pipeline
 
     from .output import progress, show
 
     with progress("extract") as tick:
         result = pipeline.extract(log, out, common.settings(colours={"fast": fast}), tick, csv)
-    return show(result, as_json)
+    return show(result, log, as_json)

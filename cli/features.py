@@ -17,16 +17,20 @@ if TYPE_CHECKING:
 @click.option("--effector", metavar="U,V", help="Where the effector is in the first picture, in px.")
 @common_options
 def features(log: Path, out: Path | None, effector: str | None, common: Common, as_json: bool) -> int:
-    """Tags and colours a log shows: how often, how much of their motion joints explain, and the line to paste."""
+    """Find tags and colours that move with the joints.
+
+    For each: how often it is seen, how much of its motion the joints explain, and the line for robot.toml.
+    """
     from bodylog import views
     from bodylog.pipeline import Result
 
-    from .output import as_data, data, lost, talk
+    from .output import entry, lost, print_json, warn
 
     found = views.features(log, out, common.settings(), _place(effector))
-    talk(found.findings)
+    warn(found.findings)
     if as_json:
-        data(as_data(Result(out, findings=found.findings)) | {"candidates": found.candidates, "images": found.images})
+        one = entry(Result(out, findings=found.findings), log)
+        print_json([one | {"candidates": found.candidates, "images": found.images}])
     else:
         _print(found)
     return lost(found.findings)
@@ -35,7 +39,7 @@ def features(log: Path, out: Path | None, effector: str | None, common: Common, 
 colours = click.Command(
     "colours",
     callback=features.callback,
-    params=features.params,
+    params=[*features.params],
     help="The same as features.",
     epilog="Example: bodylog colours run.bag -o sheet.png",
 )
@@ -49,8 +53,8 @@ def _print(found: "Offered") -> None:
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     line(f"# {found.images} images looked at")
     for name, *figures, verdict in rows:
-        told = "  ".join(f"{text:>{width}}" for text, width in zip(figures, widths[1:], strict=True))
-        line(f"{name:<{widths[0]}}  {told}  {verdict}".rstrip())
+        cells = "  ".join(f"{text:>{width}}" for text, width in zip(figures, widths[1:], strict=True))
+        line(f"{name:<{widths[0]}}  {cells}  {verdict}".rstrip())
     line("# paste one of these under [features] in robot.toml")
     for one in found.candidates:
         line(one["line"] if one["arm"] else f"# {one['line']}  # {one['name']}")

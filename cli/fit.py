@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, common_options, logs_argument, out_option
+from .options import PATH, Common, all_option, common_options, logs_argument, out_option
 from .setting_options import clock_option, delay_option, listed, setting
 
 
@@ -22,6 +22,7 @@ from .setting_options import clock_option, delay_option, listed, setting
 @setting("kinematics", "offset_prior", metavar="DEG")
 @clock_option
 @delay_option
+@all_option
 @common_options
 def fit(
     logs: tuple[Path, ...],
@@ -35,13 +36,15 @@ def fit(
     urdf: str | None,
     no_urdf: bool | None,
     offset_prior: float | None,
+    full: bool,
     common: Common,
     as_json: bool,
 ) -> int:
-    """Learn the robot's body from exploration logs: what each sense is expected to read at any joint angles."""
+    """Learn the robot's body from exploration logs."""
     from bodylog import info, pipeline
 
-    from .output import body, progress, show
+    from .body_text import show_body
+    from .output import progress, show, verbosity
 
     kinematics = {"urdf": urdf, "use": None if no_urdf is None else not no_urdf, "offset_prior": offset_prior}
     chosen = common.settings(
@@ -52,7 +55,7 @@ def fit(
     with progress("fit") as tick:
         result = pipeline.fit(logs, out, chosen, tick, update, test)
     learned = info.info(out, chosen)
-    code = show(result, as_json, body=learned)
-    if not as_json:
-        body(learned)
+    code = show(result, logs, as_json, full, body=learned)
+    if full and not as_json and verbosity() >= 0:
+        show_body(learned)
     return code

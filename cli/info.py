@@ -13,26 +13,40 @@ from .options import ANYWHERE, Common, common_options, episodic
 @episodic("logs")
 @common_options
 def info(logs: "tuple[Path | str, ...]", common: Common, as_json: bool) -> int:
-    """What is in a log (topics, types, counts, rates, clocks, which topic plays which role) or a body model."""
+    """Show what is in a log or a body model.
+
+    A log: topics, types, counts, rates, clocks, and the role of each topic. Logs may be URLs.
+    """
     from bodylog import info as inventory
 
-    from .output import data, each
+    from .output import each, print_json
 
     chosen = common.settings()
     found, code = each(logs, lambda log: inventory.info(log, chosen))
     if as_json:
-        data(list(found.values()))
+        print_json([_entry(path, one) for path, one in found.items()])
     else:
         for one in found.values():
             _print(one)
     return code or (3 if any(f["severity"] == "lost" for one in found.values() for f in one["findings"]) else 0)
 
 
+def _entry(path: str, one: dict[str, Any]) -> dict[str, Any]:
+    """One of the envelope's results: what info finds stands under "log" or "body"."""
+    from bodylog.pipeline import Result
+
+    from .output import entry
+
+    kind = "body" if one["format"] == "body" else "log"
+    return entry(Result(None), path) | {"findings": one["findings"], kind: one}
+
+
 def _print(one: dict[str, Any]) -> None:
-    from .output import body, line
+    from .body_text import show_body
+    from .output import line
 
     if one["format"] == "body":
-        body(one)
+        show_body(one)
         return
     line(f"{one['path']}: {one['format']}, {one['duration_s']:.3f} s from {one['start_ns']} ns")
     width = max((len(topic["topic"]) for topic in one["topics"]), default=0)

@@ -25,7 +25,7 @@ def ingest(
     common: Common,
     as_json: bool,
 ) -> int:
-    """Turn any recorded log into one tidy MCAP with its roles named and its times chosen."""
+    """Write a log as one tidy MCAP with named roles."""
     from bodylog import pipeline
 
     from .output import show
@@ -33,4 +33,4 @@ def ingest(
     if start is not None and end is not None and start >= end:
         raise click.BadParameter(f"{start:g} s is not before --end {end:g}", param_hint="--start")
     tables = {form: folder for form, folder in (("csv", csv), ("parquet", parquet)) if folder is not None}
-    return show(pipeline.ingest(log, out, common.settings(), tables, start=start, end=end), as_json)
+    return show(pipeline.ingest(log, out, common.settings(), tables, start=start, end=end), log, as_json)

@@ -12,9 +12,12 @@ from .options import Common, common_options, log_argument, out_option
 @out_option("The layout to write (.json).")
 @common_options
 def layout(log: Path, out: Path, common: Common, as_json: bool) -> int:
-    """A Foxglove or Lichtblick layout for an annotated log: picture with overlay, belief, errors, free energy."""
+    """Write a Foxglove layout for an annotated log.
+
+    It shows the image with its overlay, the estimate, errors and free energy; Lichtblick reads it too.
+    """
     from bodylog import views
 
     from .output import show
 
-    return show(views.layout(log, out, common.settings()), as_json, quiet=True)
+    return show(views.layout(log, out, common.settings()), log, as_json)

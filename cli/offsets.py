@@ -13,21 +13,25 @@ from .options import OUT, PATH
 @click.option("--urdf", type=PATH, metavar="ROBOT.urdf", help="The URDF to correct.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 def offsets(body: Path, out: Path | None, urdf: Path | None, as_json: bool) -> int:
-    """How far each joint's zero is off, and its scale where that was unknown, by a body learned with a URDF."""
-    from bodylog import joint_zeros
+    """Print how far each joint's zero is off.
 
-    from .output import data, line
+    The body must be learned with a URDF; joint scales are printed where they were unknown.
+    """
+    from bodylog import joint_zeros
+    from bodylog.pipeline import Result
+
+    from .output import entry, line, print_json
 
     found, scales = joint_zeros.zeros(body)
     if out is not None:
         joint_zeros.write(found, scales, out, urdf)
     if as_json:
-        data({"output": None if out is None else str(out), **joint_zeros.tables(found, scales)})
+        print_json([entry(Result(out), body) | joint_zeros.tables(found, scales)])
         return 0
     width = max(len(one.joint) for one in found)
     for one in (*found, *scales):
-        told = one.shown if one.identifiable else f"not identifiable: {' and '.join(one.confused) or 'not seen'}"
-        line(f"{one.joint:<{width}}  {'scale ' if one.noun == 'scale' else ''}{told}")
+        shown = one.shown if one.identifiable else f"not identifiable: {' and '.join(one.confused) or 'not seen'}"
+        line(f"{one.joint:<{width}}  {'scale ' if one.noun == 'scale' else ''}{shown}")
     if out is not None:
         line(f"wrote {out}", err=True)
         if out.suffix == ".urdf" and scales:

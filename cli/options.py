@@ -234,3 +234,8 @@ def fail_option(function: Command) -> Command:
     """--fail-if: bounds on scores, faults, delays and used readings."""
     help_ = "E.g. 'rmse/joint>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/camera>0.05'; broken: exit 4."
     return click.option("--fail-if", "bounds", multiple=True, metavar="BOUND", help=help_)(function)
+
+
+def all_option(function: Command) -> Command:
+    """--all: every score, below the verdict."""
+    return click.option("--all", "full", is_flag=True, help="Print every score with its unit too.")(function)

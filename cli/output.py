@@ -1,10 +1,9 @@
-"""How results are shown: data on standard output, talk on standard error."""
+"""How results are shown: verdicts and tables on standard output, warnings and progress on standard error; --json."""
 
 import json
-import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -18,25 +17,45 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 R = TypeVar("R")
+VERBOSITY = "bodylog.verbosity"
+"""Key in a command's meta: -1 errors alone, 0 warnings too, 1 everything."""
 
 
-def show(result: "Result", as_json: bool, quiet: bool = False, **further: Any) -> int:
-    """Print a result and return the exit code: 3 when part of the input was lost, else 0; `quiet` is for talk.
+def show(result: "Result", source: Any, as_json: bool, full: bool = False, **further: Any) -> int:
+    """Print a result and return the exit code: 3 when part of the input was lost, else 0.
 
-    What is `further` known of it is printed with --json alone.
+    `source` is what the command read · `full`: print the scores too · `further`: keys for --json alone.
     """
-    talk(result.findings, quiet)
     if as_json:
-        data(as_data(result) | further)
-    else:
-        table(() if quiet else result.scores)
-        if result.output is not None:
-            line(f"wrote {result.output}", err=True)
+        print_json([entry(result, source) | further])
+        warn(result.findings)
+        return lost(result.findings)
+    show_verdict(result)
+    if full and verbosity() >= 0:
+        score_table({"": result.scores})
+    if result.output is not None and verbosity() >= 0:
+        line(f"wrote {result.output}", err=True)
     return lost(result.findings)
 
 
+def show_verdict(result: "Result") -> None:
+    """Print a result's verdict, then the warnings that it does not hold."""
+    from bodylog.fault_findings import fault_warnings
+
+    for text in result.verdict if verbosity() >= 0 else ():
+        line(text)
+    held = fault_warnings(result.faults) if result.verdict else ()
+    warn([finding for finding in result.findings if finding not in held])
+
+
+def verbosity() -> int:
+    """-1 after -q, 1 after -v, else 0."""
+    context = click.get_current_context(silent=True)
+    return 0 if context is None else int(context.meta.get(VERBOSITY, 0))
+
+
 def each(logs: Sequence[T], look: Callable[[T], R]) -> tuple[dict[str, R], int]:
-    """What there is to tell of each log, by path; of one among others that is refused its line, and its exit code."""
+    """Results by path, and an exit code: among several logs one that cannot be used is an error line, not the end."""
     from bodylog.errors import InputError
 
     found, code = {}, 0
@@ -46,13 +65,13 @@ def each(logs: Sequence[T], look: Callable[[T], R]) -> tuple[dict[str, R], int]:
         except InputError as problem:
             if len(logs) == 1:
                 raise
-            say(problem)
+            print_error(problem)
             code = problem.exit_code
     return found, code
 
 
-def say(problem: Exception) -> None:
-    """A refusal, in one line on standard error; nothing where the process was told to end, which is why."""
+def print_error(problem: Exception) -> None:
+    """Print one line on standard error; nothing while a signal ends the process."""
     from bodylog.runtime import signals
 
     if not signals.received_signal():
@@ -60,21 +79,23 @@ def say(problem: Exception) -> None:
 
 
 def line(text: str, err: bool = False) -> None:
-    """Print one line; signs that a terminal obeys, which names in a log may hold, as their codes."""
+    """Print one line; control characters, which names in a log may hold, as their codes."""
     plain = (c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
     try:
         click.echo("".join(plain), err=err)
     except OSError:
         if not err:
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # nobody hears what is said: the work goes on
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # nobody reads it: the work goes on
 
 
-def as_data(result: "Result") -> dict[str, Any]:
-    """A result as the plain values of --json."""
+def entry(result: "Result", source: Any) -> dict[str, Any]:
+    """A result as one of --json's `results`; `source` is its input, or a list of them."""
     return {
+        "input": [str(one) for one in source] if isinstance(source, list | tuple) else source and str(source),
         "output": None if result.output is None else str(result.output),
-        "scores": [asdict(score) for score in result.scores],
+        "verdict": list(result.verdict),
+        "scores": scores_by_name(result.scores),
         "health": {topic: asdict(health) for topic, health in result.health.items()},
         "findings": [asdict(finding) for finding in dict.fromkeys(result.findings)],
         "faults": [asdict(fault) for fault in result.faults],
@@ -82,13 +103,22 @@ def as_data(result: "Result") -> dict[str, Any]:
     }
 
 
-def data(value: Any) -> None:
-    """Print JSON; NaN, which JSON lacks, becomes null."""
-    click.echo(json.dumps(_finite(value), indent=2, default=str))
+def scores_by_name(scores: "Sequence[Score]") -> dict[str, dict[str, Any]]:
+    """{name: {"value", "unit"}}."""
+    return {score.name: {"value": score.value, "unit": score.unit} for score in scores}
+
+
+def print_json(results: Sequence[Mapping[str, Any]]) -> None:
+    """Print --json's envelope; NaN, which JSON lacks, becomes null."""
+    from bodylog.version import __version__
+
+    context = click.get_current_context(silent=True)
+    whole = {"bodylog": __version__, "command": context and context.command.name, "results": results}
+    click.echo(json.dumps(_finite(whole), indent=2, default=str))
 
 
 def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
@@ -97,10 +127,11 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and (value != value or abs(value) == float("inf")) else value
 
 
-def talk(findings: "Sequence[Finding]", quiet: bool = False) -> None:
-    """One line per finding, each once, on standard error; `quiet`: no mere information."""
+def warn(findings: "Sequence[Finding]") -> None:
+    """Print each finding once on standard error: losses, unless -q warnings, with -v information too."""
+    shown = (("lost",), ("lost", "warning"), ("lost", "warning", "info"))[verbosity() + 1]
     for finding in dict.fromkeys(findings):
-        if not (quiet and finding.severity == "info"):
+        if finding.severity in shown:
             line(f"{finding.severity}: {finding.text}", err=True)
 
 
@@ -109,102 +140,38 @@ def lost(findings: "Sequence[Finding]") -> int:
     return 3 if any(finding.severity == "lost" for finding in findings) else 0
 
 
-def table(scores: "Sequence[Score]") -> None:
-    """Scores in columns."""
-    width = max((len(score.name) for score in scores), default=0)
-    for score in scores:
-        line(f"{score.name:<{width}}  {score.value:>12.6g}  {score.unit}".rstrip())
+def score_table(results: "Mapping[str, Sequence[Score]]") -> None:
+    """Print scores by name with their units: one column per result, named where there are several."""
+    values = {path: {score.name: score for score in scores} for path, scores in results.items()}
+    units = {score.name: score.unit for scores in results.values() for score in scores}
+    head = [("score", "unit", *values)] if len(values) > 1 else []
+    rows = [(name, unit, *(_cell(of.get(name)) for of in values.values())) for name, unit in units.items()]
+    columns([*head, *rows], left=2)
 
 
-def body(told: dict[str, Any]) -> None:
-    """A body model as `info` tells it: samples and length scales, noise with standard errors, touch, where from."""
-    line(f"{told['path']}: body model of {', '.join(told['joints'])}")
-    for name, sense in told["senses"].items():
-        line(f"  {name} ({', '.join(sense['outputs'])}): {_learned(sense)}")
-    for text in (*_zeros(told), *_noise(told), *_touch(told), *_provenance(told["provenance"])):
-        line(f"  {text}")
+def _cell(score: "Score | None") -> str:
+    return "-" if score is None else f"{score.value:.6g}"
 
 
-def _learned(sense: dict[str, Any]) -> str:
-    if "coefficients" in sense:
-        return "; ".join(" + ".join(f"{c:.4g} x^{k}" for k, c in enumerate(row)) for row in sense["coefficients"])
-    kernels = (", ".join(f"{joint} {value:.4g}" for joint, value in one.items()) for one in sense["length_scales"])
-    links = sense.get("kinematics")
-    on = "" if links is None else f"camera on {links['camera_link']}, marker on {links['marker_link']}; "
-    return f"{on}{sense['samples']} samples, length scales {'; '.join(kernels)} rad"
-
-
-def _zeros(told: dict[str, Any]) -> Iterator[str]:
-    """The joints' zeros in degrees and rad, their scales in percent, or what they cannot be told from."""
-    offsets, scales = told.get("offsets", {}), told.get("scales", {})
-    named = [*((f"offset {k}", one) for k, one in offsets.items()), *((f"scale {k}", s) for k, s in scales.items())]
-    for name, one in named:
-        if one["value"] is None:
-            yield f"{name}: not identifiable: {' and '.join(one['confused_with']) or 'not seen'}"
-            continue
-        if one["unit"] == "1":
-            yield f"{name}: {100.0 * one['value']:+.2f} % ± {100.0 * one['std']:.2f} %"
-            continue
-        factor, unit = (math.degrees(1.0), "°") if one["unit"] == "rad" else (1e3, " mm")
-        value, std = (factor * one[key] for key in ("value", "std"))
-        plain = f"{one['value']:.5f} ± {one['std']:.2g} {one['unit']}"
-        yield f"{name}: {value:+.2f}{unit} ± {std:.2f}{unit} ({plain})"
-
-
-def _noise(told: dict[str, Any]) -> Iterator[str]:
-    """Standard deviations of what is read, and densities of the motion, each with its standard error."""
-    noise, errors = told["noise"], told["noise"]["std_error"]
-    for joint, value, off in _beside(told["joints"], noise["encoder"], errors.get("encoder")):
-        yield f"noise encoders {joint}: {_root(value, off)} rad"
-    for name, sense in told["senses"].items():
-        for output, value, off in _beside(sense["outputs"], noise["senses"].get(name, ()), errors.get(name)):
-            yield f"noise {name} {output}: {_root(value, off)} {sense['unit']}"
-    for joint, value, off in _beside(told["joints"], noise["process"], errors.get("process")):
-        yield f"process {joint}: {value:.4g}{_off(off)} rad²/s³"
-
-
-def _beside(
-    names: Sequence[str], values: Sequence[float], errors: Sequence[float] | None
-) -> Iterator[tuple[str, float, float | None]]:
-    known = errors if errors is not None and len(errors) == len(values) else [None] * len(values)
-    return zip(names, values, known, strict=False)
-
-
-def _root(variance: float, off: float | None) -> str:
-    """A standard deviation, its standard error by the variance's."""
-    std = variance**0.5
-    return f"{std:.4g}{_off(None if off is None else off / (2.0 * std))}"
-
-
-def _off(error: float | None) -> str:
-    return "" if error is None else f" ± {error:.2g}"
-
-
-def _touch(told: dict[str, Any]) -> Iterator[str]:
-    units = {"b1": " /px²", "b2": " /s²"}
-    yield "touch: " + ", ".join(f"{name} = {value:.4g}{units.get(name, '')}" for name, value in told["touch"].items())
-    for cell, (u, v, spread) in told["cells"].items():
-        yield f"cell {cell}: seen {u:+.1f}, {v:+.1f} px from the effector, spread {spread:.1f} px"
-
-
-def _provenance(said: dict[str, Any]) -> Iterator[str]:
-    """Where a body comes from; the settings, which are long, only with --json."""
-    for key, value in sorted(said.items()):
-        for item in () if key == "settings" else value if isinstance(value, list) else [value]:
-            yield f"{key}: {' '.join(map(str, item)) if isinstance(item, list) else item}"
+def columns(rows: Sequence[Sequence[str]], left: int) -> None:
+    """Print rows in aligned columns, the first `left` of them to the left."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [f"{c:<{w}}" if k < left else f"{c:>{w}}" for k, (c, w) in enumerate(zip(row, widths, strict=True))]
+        line("  ".join(cells).rstrip())
 
 
 @contextmanager
 def progress(what: str) -> "Iterator[Progress | None]":
-    """A counter of pictures on a terminal, nothing otherwise; what is yielded is told how many more are done."""
-    if not sys.stderr.isatty():
+    """A counter of images on a terminal, nothing otherwise; call what is yielded with how many more are done."""
+    if not sys.stderr.isatty() or verbosity() < 0:
         yield None
         return
     from rich.console import Console
     from rich.progress import Progress as Bar
     from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn(f"{what}: {{task.completed:.0f}} pictures"), TimeElapsedColumn())
+    columns = (SpinnerColumn(), TextColumn(f"{what}: {{task.completed:.0f}} images"), TimeElapsedColumn())
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda frames: bar.advance(task, frames)

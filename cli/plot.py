@@ -15,11 +15,14 @@ from .setting_options import clock_option
 @clock_option
 @common_options
 def plot(source: Path, out: Path, common: Common, as_json: bool) -> int:
-    """Draw a log (joints, pixels, skin, touches, trajectories), or a body model's mean and variance."""
+    """Draw a log or a body model as a figure.
+
+    A log: joints, pixels, skin, touches, trajectories. A body model: mean and variance.
+    """
     from bodylog import views
 
     from .output import progress, show
 
     with progress("plot") as tick:
         result = views.plot(source, out, common.settings(), tick)
-    return show(result, as_json)
+    return show(result, source, as_json)

@@ -53,14 +53,27 @@ SCENARIO is one of {", ".join(choices.VARIANTS)}.
 @click.option("--camera", type=Choice(choices.CAMERAS), default="head", show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 def record(scenario: str, out: Path, size: str, as_json: bool, **options: Any) -> int:
-    """Simulate a robot (PyBullet, headless, seeded) into an ordinary log with truth."""
+    """Simulate a robot into a log with its true angles.
+
+    PyBullet simulates it without a screen; the same seed gives the same bytes.
+    """
     from bodylog import pipeline
 
     from .output import progress, show
 
     with progress("record") as tick:
         result = pipeline.record(scenario, out, size=_size(size), progress=tick, **options)
-    return show(result, as_json)
+    return show(result, scenario, as_json)
+
+
+simulate = click.Command(
+    "simulate",
+    callback=record.callback,
+    params=[*record.params],
+    help="The same as record.",
+    epilog="Example: bodylog simulate babble -o explore.mcap --seed 1",
+)
+"""The name that people who know `ros2 bag record` expect."""
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -4,18 +4,19 @@ from pathlib import Path
 
 import click
 
-from .options import FOLDER, Common, common_options, log_argument, out_option
+from .options import FOLDER, Common, all_option, common_options, log_argument, out_option
 
 
 @click.command(epilog="Example: bodylog report run.mcap -o report.html")
 @log_argument
 @out_option("The page to write (.html).")
 @click.option("--figures", type=FOLDER, metavar="DIR", help="Also draw figures (PNG and SVG) into this folder.")
+@all_option
 @common_options
-def report(log: Path, out: Path, figures: Path | None, common: Common, as_json: bool) -> int:
-    """One self-contained HTML page on an annotated log."""
+def report(log: Path, out: Path, figures: Path | None, full: bool, common: Common, as_json: bool) -> int:
+    """Write an HTML page on an annotated log."""
     from bodylog import views
 
     from .output import show
 
-    return show(views.report(log, out, common.settings(), figures), as_json, quiet=True)
+    return show(views.report(log, out, common.settings(), figures), log, as_json, full)

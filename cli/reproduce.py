@@ -46,7 +46,7 @@ class Numbers(NumbersType):
 @click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Runs at a time.")
 @click.option(
     "--reading",
-    "told",
+    "constants",
     multiple=True,
     metavar="CONSTANT=VALUE",
     help="Judge in this reading alone, as sigma_n=noise; repeatable.",
@@ -57,11 +57,13 @@ class Numbers(NumbersType):
 @click.option("--data", type=PATH, help="real: the folder with real robots' measurements (docs/real.md).")
 @click.option("--json", "as_json", is_flag=True, help="Print the claims as JSON on standard output.")
 def reproduce(
-    experiments: tuple[str, ...], out: Path, seeds: int, jobs: int, told: tuple[str, ...], data: Path | None,
+    experiments: tuple[str, ...], out: Path, seeds: int, jobs: int, constants: tuple[str, ...], data: Path | None,
     as_json: bool,
     **swept: tuple[float, ...] | None,
 ) -> None:  # fmt: skip
-    """The paper's experiments from simulated logs, its claims judged, on one page (out/index.html).
+    """Run the paper's experiments and judge its claims.
+
+    The logs are simulated; the page is out/index.html.
 
     Data, E1 to E6, Rubber-hand, PixelAI, Baselines and Errata; all when none is named. Real needs --data. What the
     paper leaves open is read in several ways (docs/paper.md). What a run left in the folder is not run again.
@@ -72,23 +74,23 @@ def reproduce(
     from bodylog.experiments import reproduce as run
     from bodylog.pipeline import Result
 
-    from .output import as_data, line
-    from .output import data as print_data
+    from .output import entry, line, print_json
 
-    wish = Reproduction(out, experiments, seeds, jobs, reading=_reading(told), setting=_setting(swept), data=data)
+    wish = Reproduction(out, experiments, seeds, jobs, reading=_reading(constants), setting=_setting(swept), data=data)
     claims = run(wish, _teller())
     if as_json:
-        print_data(as_data(Result(out / "index.html")) | {"claims": [asdict(claim) for claim in claims]})
+        one = entry(Result(out / "index.html"), list(experiments))
+        print_json([one | {"claims": [asdict(claim) for claim in claims]}])
     else:
         _table(claims)
         line(f"wrote {out / 'index.html'}", err=True)
 
 
-def _reading(told: tuple[str, ...]) -> "Reading | None":
-    """The reading typed; None where none is."""
+def _reading(constants: tuple[str, ...]) -> "Reading | None":
+    """The reading typed, if any."""
     from bodylog.experiments import readings
 
-    return readings.parsed(",".join(told)) if told else None
+    return readings.parsed(",".join(constants)) if constants else None
 
 
 def _setting(swept: dict[str, tuple[float, ...] | None]) -> "Setting":

@@ -12,9 +12,12 @@ from .options import OUT, Common, common_options, log_argument
 @click.option("-o", "--output", "out", type=OUT, help="The recording to write (.rrd); without it a window opens.")
 @common_options
 def view(log: Path, out: Path | None, common: Common, as_json: bool) -> int:
-    """Look at a log in Rerun: pictures with what was seen and predicted drawn on them, belief, errors, events."""
+    """Show a log in Rerun, with overlays.
+
+    It shows images with measured and predicted places, the estimate, errors and events.
+    """
     from bodylog import views
 
     from .output import show
 
-    return show(views.view(log, out, common.settings()), as_json, quiet=True)
+    return show(views.view(log, out, common.settings()), log, as_json)

@@ -40,7 +40,7 @@ LAYERS = (
     {"effector_poses", "robot_model"},
     {"observed", "written_messages"},
     {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "joint_zeros",
-     "joints_only", "online", "scoring"},
+     "joints_only", "online", "scoring", "verdict"},
     {"pipeline"},
     {"compare", "views"},
     {"batch", "experiments"},

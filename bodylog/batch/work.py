@@ -4,7 +4,7 @@ import shutil
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from ..io import remote
 from ..io.atomic_files import FULL, replacing, sha256
 from ..io.temporary import PART, remove_stale
 from ..runtime import sigbus
+from ..types import Fault, Health
 from . import folders, resume
 from .folders import OUTPUTS
 from .jobs import Job, Row
@@ -131,8 +132,16 @@ def _row(
         "outputs": {name: sha256(job.folder / name) for name in OUTPUTS if result},
         "scores": {score.name: _finite(score.value) for score in result.scores} if result else {},
         "used": {sense: health.used for sense, health in result.health.items()} if result else {},
+        "verdict": list(result.verdict) if result else [],
+        "faults": [_plain(fault) for fault in result.faults] if result else [],
+        "health": {name: _plain(health) for name, health in result.health.items()} if result else {},
         "findings": [[f.severity, f.text] for f in dict.fromkeys(result.findings)] if result else [],
     }
+
+
+def _plain(record: Fault | Health) -> dict[str, Any]:
+    """A record as JSON holds it, NaN as null."""
+    return {key: _finite(v) if isinstance(v, float) else v for key, v in asdict(record).items()}
 
 
 def _finite(value: float) -> float | None:

@@ -236,7 +236,7 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, run_cli, caps
     files.save(plain.model, tmp_path / "plain.npz")
     (tmp_path / "arm.urdf").write_text(ARM)
     assert run_cli("offsets", tmp_path / "body.npz", "--json", "-o", tmp_path / "zeros.yaml") == 0
-    answer = json.loads(capsys.readouterr().out)["offsets"]
+    answer = json.loads(capsys.readouterr().out)["results"][0]["offsets"]
     assert answer["pan"]["value"] is None and not answer["pan"]["identifiable"] and answer["pan"]["confused_with"]
     assert abs(answer["lift"]["value"] - OFFSETS["lift"]) < 3 * answer["lift"]["std"]
     lines = (tmp_path / "zeros.yaml").read_text().splitlines()

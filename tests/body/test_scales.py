@@ -47,7 +47,7 @@ def test_it_is_printed_and_written(learned, run_cli, capsys):
     folder, _ = learned
     for name in ("zeros.yaml", "zeros.json"):
         assert run_cli("offsets", folder / "body.npz", "--json", "-o", folder / name) == 0
-        printed = json.loads(capsys.readouterr().out)
+        printed = json.loads(capsys.readouterr().out)["results"][0]
         tables = {key: printed[key] for key in ("offsets", "scales")}
         assert YAML(typ="safe").load((folder / name).read_text()) == tables
         assert printed["scales"]["lift"]["unit"] == "1" and printed["scales"]["lift"]["identifiable"]

@@ -67,7 +67,7 @@ def test_fit_scores_the_body_on_the_tables_given(tmp_path, run_cli, capsys):
         (tmp_path / f"{name}.csv").write_text("\n".join(["pan,lift,tip_u,tip_v", *rows]) + "\n")
     train, test, out = (tmp_path / name for name in ("train.csv", "test.csv", "body.npz"))
     assert run_cli("fit", train, "--test", test, "-o", out, "--json") == 0
-    found = {score["name"]: score["value"] for score in json.loads(capsys.readouterr().out)["scores"]}
+    found = {name: one["value"] for name, one in json.loads(capsys.readouterr().out)["results"][0]["scores"].items()}
     assert {f"{name}/tip" for name in NAMES} <= set(found)
     assert found["rmse/test/tip"] < 0.8 and 0.6 < found["nis/test/tip"] < 1.6
     assert run_cli("fit", train, "--test", test, "-o", test) == 2  # a log is never overwritten

@@ -12,11 +12,11 @@ ATTAINABLE = {"reach.mcap": (0.0074, 0.0028), "reach.bag": (0.0072, 0.0030), "re
 def _json(capsys, run_cli, *arguments):
     capsys.readouterr()
     assert run_cli(*arguments, "--json") == 0
-    return json.loads(capsys.readouterr().out)
+    return json.loads(capsys.readouterr().out)["results"][0]
 
 
 def _scores(result):
-    return {score["name"]: score["value"] for score in result["scores"]}
+    return {name: one["value"] for name, one in result["scores"].items()}
 
 
 @pytest.mark.parametrize(("method", "column", "factor"), [("laplace", 0, 1.1), ("smoother", 1, 1.2)])

@@ -24,8 +24,8 @@ def made(tmp_path, arm):
 def _estimated(capsys, run_cli, log, body, out, *typed):
     capsys.readouterr()
     assert run_cli("estimate", log, "--body", body, "-o", out, "--json", *typed) == 0
-    result = json.loads(capsys.readouterr().out)
-    return result, {score["name"]: score["value"] for score in result["scores"]}
+    result = json.loads(capsys.readouterr().out)["results"][0]
+    return result, {name: one["value"] for name, one in result["scores"].items()}
 
 
 def _refused(capsys, run_cli, log, body, out, *typed):
@@ -182,10 +182,10 @@ def test_a_log_cut_inside_its_only_chunk_is_read_up_to_there(tmp_path, capsys, r
     cut.write_bytes((arm / "reach.mcap").read_bytes()[:300_000])
     capsys.readouterr()
     assert run_cli("estimate", cut, "--body", arm_body, "-o", tmp_path / "out.mcap", "--json") == 3
-    result = json.loads(capsys.readouterr().out)
+    result = json.loads(capsys.readouterr().out)["results"][0]
     (lost,) = [finding["text"] for finding in result["findings"] if finding["severity"] == "lost"]
     assert "from byte 36 " in lost and "4.501 s lost: the file ends in this chunk, after 299964 bytes, which" in lost
-    scores = {score["name"]: score["value"] for score in result["scores"]}
+    scores = {name: one["value"] for name, one in result["scores"].items()}
     assert scores["used/encoders"] == 134 and scores["used/effector"] > 28
     assert scores["rmse/joint"] < 0.6 * scores["rmse/encoders"]
     assert run_cli("info", cut, "--strict") == 65

@@ -25,12 +25,12 @@ def watched(tmp_path_factory, run_cli):
 def _said(capsys, run_cli, *arguments):
     capsys.readouterr()
     assert run_cli(*arguments, "--json") == 0
-    return json.loads(capsys.readouterr().out)
+    return json.loads(capsys.readouterr().out)["results"][0]
 
 
 def _estimated(capsys, run_cli, folder, body, out, *typed):
     result = _said(capsys, run_cli, "estimate", folder / "reach.mcap", "--body", folder / body, "-o", out, *typed)
-    return {score["name"]: score["value"] for score in result["scores"]}
+    return {name: one["value"] for name, one in result["scores"].items()}
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "predictive-coding"])
@@ -139,7 +139,7 @@ def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, run_cli, watched):
         for log in (watched / "reach.mcap", tidy)
     )  # fmt: skip
     # a tidy log keeps the true angles, not the true poses
-    kept = [one for one in raw["scores"] if not one["name"].endswith(("/effector_position", "/effector_rotation"))]
+    kept = _without_poses(raw["scores"])
     assert len(kept) == len(raw["scores"]) - 6 and kept == again["scores"]
     swapped = tmp_path / "swapped.toml"
     swapped.write_text(SWAPPED)
@@ -148,12 +148,16 @@ def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, run_cli, watched):
     assert "name /camera/image/compressed first" in capsys.readouterr().err and not (tmp_path / "s.mcap").exists()
 
 
+def _without_poses(scores):
+    return {name: one for name, one in scores.items() if "/effector_" not in name}
+
+
 def test_features_of_two_cameras_are_enough_with_the_same_config(tmp_path, capsys, run_cli, watched):
     features, typed = tmp_path / "features.mcap", ("--config", watched / "both.toml")
     assert run_cli("extract", watched / "reach.mcap", "-o", features, *typed) == 0
     typed = (*typed, "--body", watched / "two.npz", "-o", tmp_path / "out.mcap")
     whole, found = (_said(capsys, run_cli, "estimate", log, *typed) for log in (watched / "reach.mcap", features))
-    kept = [one for one in whole["scores"] if not one["name"].endswith(("/effector_position", "/effector_rotation"))]
+    kept = _without_poses(whole["scores"])
     assert "side/effector" in found["health"] and found["scores"] == kept  # features have no true poses beside them
 
 
@@ -163,7 +167,7 @@ def test_a_head_that_turns_is_learned_and_estimated_as_a_joint(tmp_path, capsys,
         assert run_cli("record", scenario, *where, "--seed", seed, "--duration", seconds) == 0
     body = tmp_path / "body.npz"
     learned = _said(capsys, run_cli, "fit", tmp_path / "explore.mcap", "-o", body)
-    scores = {score["name"]: score["value"] for score in learned["scores"]}
+    scores = {name: one["value"] for name, one in learned["scores"].items()}
     assert scores["influence/effector/head_pan_joint"] > 4 and scores["rmse/held_out/effector"] < 0.4
     found = _estimated(capsys, run_cli, tmp_path, "body.npz", tmp_path / "out.mcap")
     assert found["rmse/joint/head_pan_joint"] < 0.5 * found["rmse/encoders"] and 0.5 < found["nees/joint"] < 2.0

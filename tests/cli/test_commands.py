@@ -20,7 +20,7 @@ def _said(capsys, code, run_cli, *arguments):
 def test_info_is_a_list_with_an_object_per_log(capsys, run_cli, robot):
     capsys.readouterr()
     assert run_cli("info", robot / "explore.mcap", robot / "reach.mcap", "--json") == 0
-    explore, reach = json.loads(capsys.readouterr().out)
+    explore, reach = (one["log"] for one in json.loads(capsys.readouterr().out)["results"])
     assert {"path", "format", "start_ns", "duration_s", "topics", "roles", "joints", "findings"} <= set(reach)
     assert reach["roles"]["joints"] == "/joint_states" and reach["roles"]["truth"] == "/truth/joint_states"
     assert {"topic", "type", "messages", "rate_hz"} <= set(reach["topics"][0])
@@ -31,14 +31,14 @@ def test_estimate_then_evaluate_say_the_same_scores(tmp_path, capsys, run_cli, r
     out = tmp_path / "out.mcap"
     capsys.readouterr()
     assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out, "--json") == 0
-    estimated = json.loads(capsys.readouterr().out)
+    estimated = json.loads(capsys.readouterr().out)["results"][0]
     assert run_cli("evaluate", out, "--json") == 0
-    evaluated = json.loads(capsys.readouterr().out)
+    evaluated = json.loads(capsys.readouterr().out)["results"][0]
     assert estimated["output"] == str(out)
     assert {"scores", "health", "findings", "settings"} <= set(estimated)
-    values = {score["name"]: score["value"] for score in estimated["scores"]}
-    for score in evaluated["scores"]:
-        assert score["value"] == pytest.approx(values[score["name"]], rel=1e-9, abs=1e-12)
+    values = {name: one["value"] for name, one in estimated["scores"].items()}
+    for name, score in evaluated["scores"].items():
+        assert score["value"] == pytest.approx(values[name], rel=1e-9, abs=1e-12)
     assert values["rmse/joint"] < values["rmse/encoders"]
 
 
@@ -57,7 +57,7 @@ def test_of_many_evaluated_one_that_holds_nothing_hides_no_other(tmp_path, capsy
     capsys.readouterr()
     assert run_cli(*typed) == 65
     shown, said = capsys.readouterr()
-    assert [one["path"] for one in json.loads(shown)] == [str(out)]
+    assert [one["input"] for one in json.loads(shown)["results"]] == [str(out)]
     assert "empty.mcap: the file is empty" in said and "rmse/joint is" in said
 
 
@@ -66,34 +66,37 @@ def test_named_senses_are_used_and_no_others(tmp_path, capsys, run_cli, robot):
     typed = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out, "--json")
     capsys.readouterr()
     assert run_cli(*typed, "--with", "encoders") == 0
-    scores = {score["name"] for score in json.loads(capsys.readouterr().out)["scores"]}
+    scores = set(json.loads(capsys.readouterr().out)["results"][0]["scores"])
     assert "used/encoders" in scores and "nis/effector" not in scores
     assert run_cli(*typed, "--without", "encoders") == 0
-    scores = {score["name"] for score in json.loads(capsys.readouterr().out)["scores"]}
+    scores = set(json.loads(capsys.readouterr().out)["results"][0]["scores"])
     assert "nis/effector" in scores and "nis/encoders" not in scores
 
 
 def test_compare_has_a_row_for_every_method_and_subset(capsys, run_cli, robot):
     capsys.readouterr()
     assert run_cli("compare", robot / "reach.mcap", "--body", robot / "body.npz", "--json") == 0
-    rows = json.loads(capsys.readouterr().out)["rows"]
+    rows = json.loads(capsys.readouterr().out)["results"][0]["rows"]
     ran = {f"{row['method']} {','.join(row['senses'])}" for row in rows}
     assert {"laplace encoders,vision", "laplace encoders", "kalman encoders", "smoother vision"} <= ran
-    assert all(row["scores"]["rmse/joint"] > 0 for row in rows)
-    foretold = {f"{row['method']} {','.join(row['senses'])}": row["scores"]["log_density/held_out"] for row in rows}
-    assert foretold["smoother encoders,vision"] > foretold["smoother encoders"]
+    assert all(row["scores"]["rmse/joint"]["value"] > 0 for row in rows)
+    held_out = {f"{row['method']} {','.join(row['senses'])}": row["scores"]["log_density/held_out"] for row in rows}
+    assert held_out["smoother encoders,vision"]["value"] > held_out["smoother encoders"]["value"]
 
 
 def test_of_many_logs_one_that_is_none_hides_no_other(capsys, run_cli, robot):
-    for name, shape in (("info", "topics"), ("doctor", "findings")):
+    for name, shape in (("info", "log"), ("doctor", "findings")):
         capsys.readouterr()
         logs = (robot / "reach.mcap", robot / "absent.mcap", robot / "explore.mcap")
         assert run_cli(name, *logs, "--json") == 65
         told = capsys.readouterr()
-        assert [one["path"] for one in json.loads(told.out) if shape in one] == [str(logs[0]), str(logs[2])]
+        assert [one["input"] for one in json.loads(told.out)["results"] if shape in one] == [str(logs[0]), str(logs[2])]
         assert told.err == f"bodylog: {logs[1]}: there is no such file or folder; check the name\n"
         assert run_cli(name, logs[1], robot / "nor.this") == 65
         assert capsys.readouterr().err.count("\n") == 2
+
+
+KEYS = {"input", "output", "verdict", "scores", "health", "findings", "faults", "settings"}
 
 
 def test_all_that_is_printed_as_json_has_the_same_keys(tmp_path, capsys, run_cli, robot):
@@ -109,15 +112,20 @@ def test_all_that_is_printed_as_json_has_the_same_keys(tmp_path, capsys, run_cli
         ("layout", out, "-o", tmp_path / "layout.json"),
         ("plot", out, "-o", tmp_path / "plot.png"),
         ("colours", reach),
+        ("info", reach, robot / "body.npz"),
+        ("doctor", reach),
         ("batch", reach, *body, "-o", tmp_path / "batch"),
         ("record", "reach", "--duration", 1, "--size", "160x120", "-o", tmp_path / "log.mcap"),
     ):
         capsys.readouterr()
         assert run_cli(*typed, "--json") == 0
-        told = json.loads(capsys.readouterr().out)
-        assert {"output", "scores", "health", "findings", "faults", "settings"} <= set(told), typed
+        whole = json.loads(capsys.readouterr().out)
+        assert set(whole) == {"bodylog", "command", "results"} and whole["command"] == typed[0]
+        for one in whole["results"]:
+            assert set(one) >= KEYS, typed
+            assert all(set(score) == {"value", "unit"} for score in one["scores"].values())
     assert run_cli("config", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["settings"]["estimate"]["method"] == "laplace"
+    assert json.loads(capsys.readouterr().out)["results"][0]["settings"]["estimate"]["method"] == "laplace"
 
 
 def _wrong(robot, tmp_path):
@@ -251,7 +259,7 @@ def test_what_moves_as_the_joints_do_is_offered_first_under_both_names(tmp_path,
     for name in ("features", "colours"):
         capsys.readouterr()
         assert run_cli(name, robot / "explore.mcap", "-o", sheet, "--json") == 0
-        first = json.loads(capsys.readouterr().out)["candidates"][0]
+        first = json.loads(capsys.readouterr().out)["results"][0]["candidates"][0]
         assert first["name"] == "green" and first["arm"] and first["explained"] > 0.9
         assert first["line"].startswith("effector = {low = [")
         assert sheet.read_bytes().startswith(b"\x89PNG")

@@ -30,16 +30,17 @@ def test_an_episode_is_the_same_by_name_and_by_option(dataset, run_cli, capsys):
     found = []
     for arguments in ((f"{dataset}#2",), (dataset, "--episode", 2)):
         assert run_cli("info", *arguments, "--json") == 0
-        found.append(json.loads(capsys.readouterr().out))
+        found.append(json.loads(capsys.readouterr().out)["results"][0])
     assert found[0] == found[1]
-    (one,) = found[0]
+    one = found[0]["log"]
     assert one["path"] == f"{dataset}#2" and one["format"] == "lerobot v2.1" and one["unit"] == "rad"
     assert {topic["topic"]: topic["messages"] for topic in one["topics"]}["/joint_states"] == 15
 
 
 def test_a_range_is_several_logs(dataset, run_cli, capsys):
     assert run_cli("info", dataset, "--episode", "0-2", "--json") == 0
-    assert [one["path"] for one in json.loads(capsys.readouterr().out)] == [f"{dataset}#{n}" for n in range(3)]
+    results = json.loads(capsys.readouterr().out)["results"]
+    assert [one["input"] for one in results] == [f"{dataset}#{n}" for n in range(3)]
     assert run_cli("ingest", dataset, "--episode", "0-2", "-o", dataset.parent / "x.mcap") == 2
     assert "this command takes one episode" in capsys.readouterr().err
     assert run_cli("info", dataset, "--episode", "last") == 2
@@ -56,7 +57,7 @@ def test_an_episode_that_is_not_there_is_refused(dataset, run_cli, capsys):
 def test_a_dataset_is_converted_and_comes_back(dataset, run_cli, tmp_path, capsys):
     assert run_cli("ingest", dataset, "--episode", 1, "-o", tmp_path / "run.mcap") == 0
     assert run_cli("convert", tmp_path / "run.mcap", "-o", f"{tmp_path}/new/", "--to", "lerobot", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["output"] == str(tmp_path / "new")
+    assert json.loads(capsys.readouterr().out)["results"][0]["output"] == str(tmp_path / "new")
     with logs.open(dataset, episode=1) as a, logs.open(tmp_path / "new") as b:
         np.testing.assert_array_equal(a["/joint_states"].position, b["/joint_states"].position)
     assert run_cli("convert", tmp_path / "new", "-o", tmp_path / "new.mcap", "--topics", "/joint_states") == 0

@@ -16,8 +16,8 @@ def _estimated(capsys, run_cli, log, body, out, *typed):
     """The result of an estimate that succeeds and its scores by name."""
     capsys.readouterr()
     assert run_cli("estimate", log, "--body", body, "-o", out, "--json", *typed) == 0
-    result = json.loads(capsys.readouterr().out)
-    return result, {score["name"]: score["value"] for score in result["scores"]}
+    result = json.loads(capsys.readouterr().out)["results"][0]
+    return result, {name: one["value"] for name, one in result["scores"].items()}
 
 
 def _nothing(count, message):
@@ -45,7 +45,7 @@ def test_precisions_are_told_as_they_were(tmp_path, capsys, run_cli, arm, arm_bo
     factor = scores["variance_factor/effector"]
     assert {"auto": factor >= 1.0, "model": factor == 1.0, "fixed": factor != 1.0}[precision]
     assert run_cli("evaluate", out, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["scores"] == result["scores"]
+    assert json.loads(capsys.readouterr().out)["results"][0]["scores"] == result["scores"]
 
 
 @pytest.mark.parametrize("option", ["--precision", "--bias", "--touch", "--step", "--method"])
@@ -168,7 +168,7 @@ def test_what_a_method_refuses_is_left_out_of_the_comparison_and_said(tmp_path, 
     typed = ("compare", log, "--body", tmp_path / "body.npz", "--json")
     assert run_cli(*typed, "--config", tmp_path / "start.toml") == 0
     captured = capsys.readouterr()
-    assert {row["method"] for row in json.loads(captured.out)["rows"]} == {"predictive-coding"}
+    assert {row["method"] for row in json.loads(captured.out)["results"][0]["rows"]} == {"predictive-coding"}
     (refused,) = [line for line in captured.err.splitlines() if "what this body's read turns or flattens" in line]
     for row in ("laplace encoders,vision; ", "smoother vision; ", "kalman encoders: encoders: what "):
         assert row in refused

@@ -14,8 +14,8 @@ def _learned(capsys, run_cli, out, *typed):
     """The result of a fit that succeeds, its scores by name, and the body as `info` tells it."""
     capsys.readouterr()
     assert run_cli("fit", *typed, "-o", out, "--json") == 0
-    result = json.loads(capsys.readouterr().out)
-    return result, {score["name"]: score["value"] for score in result["scores"]}, result["body"]
+    result = json.loads(capsys.readouterr().out)["results"][0]
+    return result, {name: one["value"] for name, one in result["scores"].items()}, result["body"]
 
 
 def _said(capsys, run_cli, *typed):

@@ -27,10 +27,10 @@ def test_a_log_without_a_body_gets_its_joints_alone(robot, alone, capsys, run_cl
     assert {"/bodylog/joint_states", "/bodylog/joint_covariance", "/bodylog/free_energy"} <= topics
     capsys.readouterr()
     assert run_cli("estimate", robot / "reach.mcap", "-o", alone, "--json") == 0
-    said = json.loads(capsys.readouterr().out)
+    said = json.loads(capsys.readouterr().out)["results"][0]
     texts = [finding["text"] for finding in said["findings"]]
     assert any("no --body: the joints' own sensors alone" in text and "--body body.npz" in text for text in texts)
-    assert not said["faults"] and "rmse/joint" in {score["name"] for score in said["scores"]}
+    assert not said["faults"] and "rmse/joint" in said["scores"]
 
 
 def test_what_no_sense_could_show_breaks_its_bound_without_a_body(robot, alone, run_cli):
@@ -63,7 +63,8 @@ def test_truth_kept_elsewhere_scores_as_truth_in_the_log(tmp_path, robot, alone,
     for typed in ((), ("--truth", path)):
         capsys.readouterr()
         assert run_cli("evaluate", alone, "--json", *typed) == 0
-        said.append({s["name"]: s["value"] for s in json.loads(capsys.readouterr().out)["scores"]})
+        scores = json.loads(capsys.readouterr().out)["results"][0]["scores"]
+        said.append({name: one["value"] for name, one in scores.items()})
     assert said[0]["rmse/joint"] == pytest.approx(said[1]["rmse/joint"], rel=1e-4)
 
 

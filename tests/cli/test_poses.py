@@ -36,9 +36,9 @@ def test_poses_are_estimated_scored_compared_and_reported(tables, run_cli, capsy
     assert np.sqrt(np.mean(error**2)) < 0.005 and found.faults == ()
     assert run_cli("estimate", out, "--body", body, "-o", folder / "again.mcap") == 0  # what was written stays poses
     assert np.array_equal(read_estimate(folder / "again.mcap").joints.values, found.joints.values)
-    assert run_cli("compare", folder / "test.csv", "--body", body) == 0
+    assert run_cli("compare", folder / "test.csv", "--body", body, "-v") == 0
     assert "the log has still poses" in capsys.readouterr().err
     assert run_cli("report", out, "-o", folder / "report.html") == 0
     assert run_cli("info", folder / "test.csv", "--json") == 0
-    (described,) = json.loads(capsys.readouterr().out)
+    described = json.loads(capsys.readouterr().out)["results"][0]["log"]
     assert described["format"] == "csv" and described["joints"] == ["pan", "lift"]

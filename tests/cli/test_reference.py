@@ -19,8 +19,8 @@ def squared(tmp_path_factory, run_cli):
 def _said(capsys, run_cli, *arguments):
     capsys.readouterr()
     assert run_cli(*arguments, "--json") == 0
-    result = json.loads(capsys.readouterr().out)
-    return {score["name"]: score["value"] for score in result["scores"]}, [f["text"] for f in result["findings"]]
+    result = json.loads(capsys.readouterr().out)["results"][0]
+    return {name: one["value"] for name, one in result["scores"].items()}, [f["text"] for f in result["findings"]]
 
 
 def test_squares_are_learned_by_the_reference_and_estimated_without(tmp_path, capsys, run_cli, squared):

@@ -22,7 +22,7 @@ def test_seven_joints_are_learned_and_estimated(tmp_path, capsys, run_cli, seven
     capsys.readouterr()
     typed = (seven / "reach.mcap", "--body", seven / "body.npz", "-o", out, "--method", method, "--json")
     assert run_cli("estimate", *typed) == 0
-    scores = {score["name"]: score["value"] for score in json.loads(capsys.readouterr().out)["scores"]}
+    scores = {name: one["value"] for name, one in json.loads(capsys.readouterr().out)["results"][0]["scores"].items()}
     assert sum(name.startswith("rmse/joint/joint_") for name in scores) == 7
     assert scores["rmse/joint"] < most * scores["rmse/encoders"]
     assert 85 <= scores["coverage_2sigma/joint"] <= 99

@@ -27,12 +27,12 @@ def tagged(tmp_path_factory, run_cli) -> Path:
 def test_tags_give_tracks_a_body_and_are_remembered(tagged, run_cli, capsys) -> None:
     config = ("--config", tagged / "robot.toml")
     assert run_cli("extract", tagged / "log.mcap", "-o", tagged / "features.mcap", *config, "--json") == 0
-    health = json.loads(capsys.readouterr().out)["health"]
+    health = json.loads(capsys.readouterr().out)["results"][0]["health"]
     names = ("wrist", "rim.0", "rim.1", "rim.2", "rim.3")
     assert all(health[name]["used"] > 0.5 * health[name]["seen"] for name in names) and "effector" not in health
     # nobody says again what to look for: the log itself knows
     assert run_cli("fit", tagged / "features.mcap", "-o", tagged / "body.npz", "--json") == 0
-    scores = {score["name"] for score in json.loads(capsys.readouterr().out)["scores"]}
+    scores = set(json.loads(capsys.readouterr().out)["results"][0]["scores"])
     assert {f"rmse/held_out/{name}" for name in names} <= scores and "rmse/held_out/effector" not in scores
 
     from bodylog import pipeline

@@ -1,0 +1,142 @@
+"""The result of a command in a few sentences that a person can act on."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from .evaluation.figures import EITHER, FIRST
+from .score_names import split
+from .types import Estimate, Fault, Score
+
+MOST = 3
+"""Faults, tracks or offsets that are written out; the others are counted."""
+_SHORTEST_DELAY = 1e-3
+"""s: shorter camera delays are left out."""
+
+
+def of_estimate(found: Estimate, scores: Sequence[Score]) -> tuple[str, ...]:
+    """Faults, camera delays, senses without a fault, and the error, or the error bars where there is no truth."""
+    faults = [_fault(fault) for fault in found.faults]
+    return (*_first(faults, "faults"), *_delays(found), _agreement(found), *_error(found, scores))
+
+
+def of_body(joints: Sequence[str], scores: Sequence[Score]) -> tuple[str, ...]:
+    """Joints and tracks learned, held-out errors, joint offsets, and errors on test logs."""
+    values = {score.name: score.value for score in scores}
+    learned = f"learned over {_count(len(joints), 'joint')}: {', '.join(joints[:6])}{', …' * (len(joints) > 6)}"
+    errors = [_held_out(track, value, values) for track, value in _of(values, "rmse/held_out").items()]
+    offsets = [_offset(joint, value, values) for joint, value in _of(values, "offset").items()]
+    tests = [_tested(track, value, values) for track, value in _of(values, "rmse/test").items()]
+    return (learned, *_first(errors, "tracks"), *_first([one for one in offsets if one], "offsets", "; "), *tests[:1])
+
+
+def of_batch(rows: Sequence[Mapping[str, object]], errors: Mapping[str, float]) -> tuple[str, ...]:
+    """How many logs ended how, and the median and worst of their `errors` (rad) by name."""
+    counts: dict[str, int] = {}
+    for row in rows:
+        counts[str(row["status"])] = counts.get(str(row["status"]), 0) + 1
+    ended = ", ".join(f"{count} {status}" for status, count in counts.items())
+    lines = [f"{_count(len(rows), 'log')}: {ended}"]
+    if errors:
+        worst = max(errors, key=lambda name: errors[name])
+        middle = float(np.median(list(errors.values())))
+        lines.append(f"error (RMSE): median {middle:.2g} rad, largest {errors[worst]:.2g} rad in {worst}")
+    return tuple(lines)
+
+
+def _first(lines: Sequence[str], what: str, joined: str | None = None) -> list[str]:
+    rest = [f"{len(lines) - MOST} more {what}"] if len(lines) > MOST else []
+    shown = [*lines[:MOST], *rest]
+    return [joined.join(shown)] if joined is not None and shown else shown
+
+
+def _of(values: Mapping[str, float], figure: str) -> dict[str, float]:
+    """The scores of one figure by part."""
+    return {split(name)[1]: value for name, value in values.items() if split(name)[0] == figure}
+
+
+def _fault(fault: Fault) -> str:
+    known = fault.size == fault.size
+    std = "" if fault.std is None else f" ± {fault.std:.1g}"
+    size = f"{fault.size:.2g}{std} {fault.unit}"
+    text = _WORDS.get((fault.sense, fault.kind), _other)(fault, size, f"since {fault.since:.1f} s", known)
+    return text if known or EITHER not in fault.name else f"{text} (the log cannot tell which)"
+
+
+def _drifting(fault: Fault, size: str, since: str, known: bool) -> str:
+    if fault.since < FIRST:
+        return f"{fault.name}: encoder is off from the start{f', by {size}' * known}"
+    return f"{fault.name}: encoder drifts {since}{f', by {size}' * known}"
+
+
+def _other(fault: Fault, size: str, since: str, known: bool) -> str:
+    return f"{fault.name}: {fault.kind} ({fault.sense}) {since}{f', {size}' * known}"
+
+
+_WORDS: Mapping[tuple[str, str], Callable[[Fault, str, str, bool], str]] = {
+    ("encoders", "drifting"): _drifting,
+    ("encoders", "offset"): lambda f, size, since, known: f"{f.name}: encoder is off{f' by {size}' * known} {since}",
+    ("encoders", "jumping"): lambda f, size, since, known: f"{f.name}: encoder jumps by {size} at {f.since:.1f} s",
+    ("encoders", "frozen"): lambda f, size, since, known: f"{f.name}: encoder is frozen {since}",
+    ("encoders", "dead"): lambda f, size, since, known: f"{f.name}: encoder is silent {since}",
+    ("vision", "frozen"): lambda f, size, since, known: f"{f.name}: its images are frozen {since}",
+    ("vision", "displaced"): lambda f, size, since, known: f"{f.name}: camera moved {since}, by {size} in the image",
+    ("vision", "moved"): lambda f, size, _, known: f"{f.name}: moved since the body was learned{f', {size}' * known}",
+}  # fmt: skip
+
+
+def _delays(found: Estimate) -> Iterator[str]:
+    """Camera delays that the estimate corrects."""
+    known = found.settings.get("delay", {})
+    for camera, delay in known.items() if isinstance(known, Mapping) else ():
+        if abs(delay) >= _SHORTEST_DELAY:
+            way = "late" if delay > 0 else "early"
+            yield f"{camera}: timestamps are {abs(delay) * 1e3:.0f} ms {way}; corrected"
+
+
+def _agreement(found: Estimate) -> str:
+    """The senses in which no fault is found, and which faults were not looked for."""
+    faulty = {name for fault in found.faults for name in (*fault.name.split(EITHER), fault.name)}
+    tracks = [name for name, health in found.used.items() if health.used and name != "encoders"]
+    sound = [name for name in tracks if name not in faulty and (name.rpartition("/")[0] or "camera") not in faulty]
+    encoders = [name for name in found.joints.names if name not in faulty]
+    if "encoders" in found.used and found.used["encoders"].used and encoders:
+        sound.insert(0, _count(len(encoders), "encoder"))
+    listed = " and ".join([", ".join(sound[:-1]), sound[-1]] if sound[1:] else sound)
+    text = f"no fault found in {listed or 'any sense'}"
+    if not found.can.repairs:
+        return f"{text}; {found.method} does not look for encoder offsets"
+    return text if tracks else f"{text}; without images, an encoder offset cannot be found"
+
+
+def _error(found: Estimate, scores: Sequence[Score]) -> Iterator[str]:
+    values = {score.name: score.value for score in scores}
+    if "rmse/joint" in values:
+        raw = f", raw encoders {values['rmse/encoders']:.2g}" if "rmse/encoders" in values else ""
+        covered = f"; 2σ covers {values['coverage_2sigma/joint']:.1f} % of the truth"
+        yield f"error (RMSE) {values['rmse/joint']:.2g} rad{raw}{covered}"
+    elif len(found.cov):
+        typical = 2.0 * float(np.sqrt(np.median(np.einsum("nii->ni", found.cov))))
+        yield f"no truth to compare with; typical 2σ error bar ± {typical:.2g} rad"
+    if "rmse/effector_position" in values:
+        yield f"effector position error (RMSE) {1e3 * values['rmse/effector_position']:.2g} mm"
+
+
+def _held_out(track: str, value: float, values: Mapping[str, float]) -> str:
+    ratio = values.get(f"nis/held_out/{track}")
+    true = "" if ratio is None else f", {ratio:.2f} of the variance expected"
+    return f"{track}: error {value:.2g} px on held-out parts of the log{true}"
+
+
+def _offset(joint: str, value: float, values: Mapping[str, float]) -> str | None:
+    std = values.get(f"std/offset/{joint}", 0.0)
+    return f"{joint}: zero is off by {value:+.2g} ± {std:.1g} rad" if abs(value) > 2.0 * std else None
+
+
+def _tested(track: str, value: float, values: Mapping[str, float]) -> str:
+    covered = values.get(f"coverage_2sigma/test/{track}", float("nan"))
+    return f"{track}: error {value:.2g} px on the test logs; 2σ covers {covered:.0f} %"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"

@@ -1,0 +1,85 @@
+"""A body model as text, for info and fit."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from .output import line
+
+
+def show_body(found: dict[str, Any]) -> None:
+    """Print a body model: samples and length scales, noise with standard errors, touch, provenance."""
+    line(f"{found['path']}: body model of {', '.join(found['joints'])}")
+    for name, sense in found["senses"].items():
+        line(f"  {name} ({', '.join(sense['outputs'])}): {_learned(sense)}")
+    for text in (*_zeros(found), *_noise(found), *_touch(found), *_provenance(found["provenance"])):
+        line(f"  {text}")
+
+
+def _learned(sense: dict[str, Any]) -> str:
+    if "coefficients" in sense:
+        return "; ".join(" + ".join(f"{c:.4g} x^{k}" for k, c in enumerate(row)) for row in sense["coefficients"])
+    kernels = (", ".join(f"{joint} {value:.4g}" for joint, value in one.items()) for one in sense["length_scales"])
+    links = sense.get("kinematics")
+    on = "" if links is None else f"camera on {links['camera_link']}, marker on {links['marker_link']}; "
+    return f"{on}{sense['samples']} samples, length scales {'; '.join(kernels)} rad"
+
+
+def _zeros(found: dict[str, Any]) -> Iterator[str]:
+    """The joints' zeros in degrees and rad, their scales in percent, or the joints they are confused with."""
+    offsets, scales = found.get("offsets", {}), found.get("scales", {})
+    named = [*((f"offset {k}", one) for k, one in offsets.items()), *((f"scale {k}", s) for k, s in scales.items())]
+    for name, one in named:
+        if one["value"] is None:
+            yield f"{name}: not identifiable: {' and '.join(one['confused_with']) or 'not seen'}"
+            continue
+        if one["unit"] == "1":
+            yield f"{name}: {100.0 * one['value']:+.2f} % ± {100.0 * one['std']:.2f} %"
+            continue
+        factor, unit = (math.degrees(1.0), "°") if one["unit"] == "rad" else (1e3, " mm")
+        value, std = (factor * one[key] for key in ("value", "std"))
+        plain = f"{one['value']:.5f} ± {one['std']:.2g} {one['unit']}"
+        yield f"{name}: {value:+.2f}{unit} ± {std:.2f}{unit} ({plain})"
+
+
+def _noise(found: dict[str, Any]) -> Iterator[str]:
+    """Standard deviations of what is read, and densities of the motion, each with its standard error."""
+    noise, errors = found["noise"], found["noise"]["std_error"]
+    for joint, value, off in _beside(found["joints"], noise["encoder"], errors.get("encoder")):
+        yield f"noise encoders {joint}: {_root(value, off)} rad"
+    for name, sense in found["senses"].items():
+        for output, value, off in _beside(sense["outputs"], noise["senses"].get(name, ()), errors.get(name)):
+            yield f"noise {name} {output}: {_root(value, off)} {sense['unit']}"
+    for joint, value, off in _beside(found["joints"], noise["process"], errors.get("process")):
+        yield f"process {joint}: {value:.4g}{_off(off)} rad²/s³"
+
+
+def _beside(
+    names: Sequence[str], values: Sequence[float], errors: Sequence[float] | None
+) -> Iterator[tuple[str, float, float | None]]:
+    known = errors if errors is not None and len(errors) == len(values) else [None] * len(values)
+    return zip(names, values, known, strict=False)
+
+
+def _root(variance: float, off: float | None) -> str:
+    """A standard deviation, its standard error by the variance's."""
+    std = variance**0.5
+    return f"{std:.4g}{_off(None if off is None else off / (2.0 * std))}"
+
+
+def _off(error: float | None) -> str:
+    return "" if error is None else f" ± {error:.2g}"
+
+
+def _touch(found: dict[str, Any]) -> Iterator[str]:
+    units = {"b1": " /px²", "b2": " /s²"}
+    yield "touch: " + ", ".join(f"{name} = {value:.4g}{units.get(name, '')}" for name, value in found["touch"].items())
+    for cell, (u, v, spread) in found["cells"].items():
+        yield f"cell {cell}: seen {u:+.1f}, {v:+.1f} px from the effector, spread {spread:.1f} px"
+
+
+def _provenance(values: dict[str, Any]) -> Iterator[str]:
+    """Where a body comes from; the settings, which are long, only with --json."""
+    for key, value in sorted(values.items()):
+        for item in () if key == "settings" else value if isinstance(value, list) else [value]:
+            yield f"{key}: {' '.join(map(str, item)) if isinstance(item, list) else item}"
