@@ -40,7 +40,7 @@ def of_batch(rows: Sequence[Mapping[str, object]], errors: Mapping[str, float]) 
     if errors:
         worst = max(errors, key=lambda name: errors[name])
         middle = float(np.median(list(errors.values())))
-        lines.append(f"error (RMSE): median {middle:.2g} rad, largest {errors[worst]:.2g} rad in {worst}")
+        lines.append(f"error (RMSE): median {middle:.3g} rad, largest {errors[worst]:.3g} rad in {worst}")
     return tuple(lines)
 
 
@@ -57,8 +57,8 @@ def _of(values: Mapping[str, float], figure: str) -> dict[str, float]:
 
 def _fault(fault: Fault) -> str:
     known = fault.size == fault.size
-    std = "" if fault.std is None else f" ± {fault.std:.1g}"
-    size = f"{fault.size:.2g}{std} {fault.unit}"
+    std = "" if fault.std is None else f" ± {fault.std:.2g}"
+    size = f"{fault.size:.3g}{std} {fault.unit}"
     text = _WORDS.get((fault.sense, fault.kind), _other)(fault, size, f"since {fault.since:.1f} s", known)
     return text if known or EITHER not in fault.name else f"{text} (the log cannot tell which)"
 
@@ -112,30 +112,30 @@ def _agreement(found: Estimate) -> str:
 def _error(found: Estimate, scores: Sequence[Score]) -> Iterator[str]:
     values = {score.name: score.value for score in scores}
     if "rmse/joint" in values:
-        raw = f", raw encoders {values['rmse/encoders']:.2g}" if "rmse/encoders" in values else ""
+        raw = f", raw encoders {values['rmse/encoders']:.3g}" if "rmse/encoders" in values else ""
         covered = f"; 2σ covers {values['coverage_2sigma/joint']:.1f} % of the truth"
-        yield f"error (RMSE) {values['rmse/joint']:.2g} rad{raw}{covered}"
+        yield f"error (RMSE) {values['rmse/joint']:.3g} rad{raw}{covered}"
     elif len(found.cov):
         typical = 2.0 * float(np.sqrt(np.median(np.einsum("nii->ni", found.cov))))
-        yield f"no truth to compare with; typical 2σ error bar ± {typical:.2g} rad"
+        yield f"no truth to compare with; typical 2σ error bar ± {typical:.3g} rad"
     if "rmse/effector_position" in values:
-        yield f"effector position error (RMSE) {1e3 * values['rmse/effector_position']:.2g} mm"
+        yield f"effector position error (RMSE) {1e3 * values['rmse/effector_position']:.3g} mm"
 
 
 def _held_out(track: str, value: float, values: Mapping[str, float]) -> str:
     ratio = values.get(f"nis/held_out/{track}")
     true = "" if ratio is None else f", {ratio:.2f} of the variance expected"
-    return f"{track}: error {value:.2g} px on held-out parts of the log{true}"
+    return f"{track}: error {value:.3g} px on held-out parts of the log{true}"
 
 
 def _offset(joint: str, value: float, values: Mapping[str, float]) -> str | None:
     std = values.get(f"std/offset/{joint}", 0.0)
-    return f"{joint}: zero is off by {value:+.2g} ± {std:.1g} rad" if abs(value) > 2.0 * std else None
+    return f"{joint}: zero is off by {value:+.3g} ± {std:.2g} rad" if abs(value) > 2.0 * std else None
 
 
 def _tested(track: str, value: float, values: Mapping[str, float]) -> str:
     covered = values.get(f"coverage_2sigma/test/{track}", float("nan"))
-    return f"{track}: error {value:.2g} px on the test logs; 2σ covers {covered:.0f} %"
+    return f"{track}: error {value:.3g} px on the test logs; 2σ covers {covered:.0f} %"
 
 
 def _count(number: int, what: str) -> str:

@@ -34,8 +34,9 @@ def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int
 
     from .output import entry, lost, print_json, progress, warn
 
-    with progress("compare") as tick:
-        rows, findings = comparison.compare(log, body, common.settings(), tick, None if as_json else _line())
+    chosen = common.settings()
+    with progress("compare", [log], chosen) as tick:
+        rows, findings = comparison.compare(log, body, chosen, tick, None if as_json else _line())
     warn(findings)
     if as_json:
         print_json([entry(Result(None, findings=findings), log) | {"rows": [_plain(row) for row in rows]}])

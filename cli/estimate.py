@@ -50,7 +50,7 @@ def estimate(
         raise UsageError("--urdf: the body knows its robot; leave --urdf out, or type: bodylog fit LOG --urdf FILE")
     kinematics = {"urdf": urdf}
     chosen = common.settings(colours={"fast": fast}, kinematics=kinematics, estimate=estimation(typed))
-    with progress("estimate") as tick:
+    with progress("estimate", [log], chosen) as tick:
         result = pipeline.estimate(log, body, out, chosen, tick)
     code = show(result, log, as_json, full)
     rules.check({str(log): result.figures}, wanted)

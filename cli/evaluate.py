@@ -77,8 +77,8 @@ def _print(results: "dict[str, Result]", full: bool) -> None:
     elif verbosity() >= 0:
         rows = [[path, *(_cell(result, name) for name in COLUMNS)] for path, result in results.items()]
         columns([["log", *COLUMNS], ["", *map(_unit, COLUMNS)], *rows], left=1)
-        for result in results.values():
-            warn(result.findings)
+        for path, result in results.items():
+            warn(result.findings, f"{path}: ")
     if full and verbosity() >= 0:
         score_table({path: result.scores for path, result in results.items()})
 

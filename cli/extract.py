@@ -26,6 +26,7 @@ def extract(log: Path, out: Path, csv: Path | None, fast: bool | None, common: C
 
     from .output import progress, show
 
-    with progress("extract") as tick:
-        result = pipeline.extract(log, out, common.settings(colours={"fast": fast}), tick, csv)
+    chosen = common.settings(colours={"fast": fast})
+    with progress("extract", [log], chosen) as tick:
+        result = pipeline.extract(log, out, chosen, tick, csv)
     return show(result, log, as_json)

@@ -52,7 +52,7 @@ def fit(
         body={"joints": listed(joints)},
         kinematics=kinematics,
     )
-    with progress("fit") as tick:
+    with progress("fit", [*logs, *test], chosen) as tick:
         result = pipeline.fit(logs, out, chosen, tick, update, test)
     learned = info.info(out, chosen)
     code = show(result, logs, as_json, full, body=learned)

@@ -13,6 +13,7 @@ import click
 if TYPE_CHECKING:
     from bodylog.observed import Progress
     from bodylog.pipeline import Result
+    from bodylog.settings import Settings
     from bodylog.types import Finding, Score
 
 T = TypeVar("T")
@@ -127,12 +128,12 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and (value != value or abs(value) == float("inf")) else value
 
 
-def warn(findings: "Sequence[Finding]") -> None:
+def warn(findings: "Sequence[Finding]", about: str = "") -> None:
     """Print each finding once on standard error: losses, unless -q warnings, with -v information too."""
     shown = (("lost",), ("lost", "warning"), ("lost", "warning", "info"))[verbosity() + 1]
     for finding in dict.fromkeys(findings):
         if finding.severity in shown:
-            line(f"{finding.severity}: {finding.text}", err=True)
+            line(f"{finding.severity}: {about}{finding.text}", err=True)
 
 
 def lost(findings: "Sequence[Finding]") -> int:
@@ -162,16 +163,34 @@ def columns(rows: Sequence[Sequence[str]], left: int) -> None:
 
 
 @contextmanager
-def progress(what: str) -> "Iterator[Progress | None]":
-    """A counter of images on a terminal, nothing otherwise; call what is yielded with how many more are done."""
+def progress(what: str, logs: Sequence[Any] = (), settings: "Settings | None" = None) -> "Iterator[Progress | None]":
+    """A bar of images on a terminal, nothing otherwise; call what is yielded with how many more are done.
+
+    The total is that of the cameras' images in `logs`; where it is not known, the bar counts.
+    """
     if not sys.stderr.isatty() or verbosity() < 0:
         yield None
         return
     from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
-    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn(f"{what}: {{task.completed:.0f}} images"), TimeElapsedColumn())
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=None)
+    columns = (SpinnerColumn(), TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn("images"))
+    with Bar(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=_images(logs, settings) or None)
         yield lambda frames: bar.advance(task, frames)
+
+
+def _images(logs: Sequence[Any], settings: "Settings | None") -> int:
+    """Images on the cameras' topics; 0 where a log does not say, or cannot be read: the command says why."""
+    from bodylog.errors import BodylogError
+    from bodylog.info import info
+
+    total = 0
+    try:
+        for found in (info(log, settings) for log in logs if settings is not None):
+            cameras = {topic for role, topic in found.get("roles", {}).items() if role.partition("/")[0] == "camera"}
+            total += sum(topic["messages"] for topic in found.get("topics", ()) if topic["topic"] in cameras)
+    except (BodylogError, OSError):
+        return 0
+    return total

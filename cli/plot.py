@@ -23,6 +23,7 @@ def plot(source: Path, out: Path, common: Common, as_json: bool) -> int:
 
     from .output import progress, show
 
-    with progress("plot") as tick:
-        result = views.plot(source, out, common.settings(), tick)
+    chosen = common.settings()
+    with progress("plot", [source], chosen) as tick:
+        result = views.plot(source, out, chosen, tick)
     return show(result, source, as_json)

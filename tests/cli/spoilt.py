@@ -35,17 +35,17 @@ def _mcap(source: Path, out: Path, change: Change, until: float, kept: Callable[
     with source.open("rb") as read, out.open("wb") as written:
         writer = Writer(written)
         writer.start("ros2", "spoilt")
-        begun = None
+        started = None
         for schema, channel, message in make_reader(read).iter_messages():
-            begun = message.log_time if begun is None else begun
-            if message.log_time - begun > until * SECOND or not kept(channel.topic):
+            started = message.log_time if started is None else started
+            if message.log_time - started > until * SECOND or not kept(channel.topic):
                 continue
             data = message.data
             if _spoken(channel.topic):
-                said = store.deserialize_cdr(data, KIND)
-                if not _changed(change, count := count + 1, said):
+                record = store.deserialize_cdr(data, KIND)
+                if not _changed(change, count := count + 1, record):
                     continue
-                data = bytes(store.serialize_cdr(said, KIND))
+                data = bytes(store.serialize_cdr(record, KIND))
             if channel.topic not in channels:
                 known = writer.register_schema(schema.name, schema.encoding, schema.data)
                 channels[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, known)
@@ -64,20 +64,20 @@ def _bag(source: Path, out: Path, change: Change, until: float, kept: Callable[[
             if time - reader.start_time > until * SECOND or not kept(topic):
                 continue
             if _spoken(topic):
-                said = store.deserialize_ros1(data, KIND)
-                if not _changed(change, count := count + 1, said):
+                record = store.deserialize_ros1(data, KIND)
+                if not _changed(change, count := count + 1, record):
                     continue
-                data = bytes(store.serialize_ros1(said, KIND))
+                data = bytes(store.serialize_ros1(record, KIND))
             if topic not in connections:
                 definition, digest = connection.msgdef.data, connection.digest
                 connections[topic] = writer.add_connection(topic, kind, msgdef=definition, md5sum=digest)
             writer.write(connections[topic], time, data)
 
 
-def _changed(change: Change, count: int, said: Any) -> bool:
+def _changed(change: Change, count: int, record: Any) -> bool:
     """Whether the message is kept; its position can be written to."""
-    said.position = said.position.copy()
-    return change(count, said)
+    record.position = record.position.copy()
+    return change(count, record)
 
 
 def _spoken(topic: str) -> bool:

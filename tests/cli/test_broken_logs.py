@@ -33,10 +33,10 @@ def _refused(capsys, run_cli, log, body, out, *typed):
     capsys.readouterr()
     before = sorted(out.parent.iterdir())
     assert run_cli("estimate", log, "--body", body, "-o", out, *typed) == 65
-    said = capsys.readouterr().err.strip()
-    assert "\n" not in said and said.startswith(f"bodylog: {log}: ")
+    printed = capsys.readouterr().err.strip()
+    assert "\n" not in printed and printed.startswith(f"bodylog: {log}: ")
     assert sorted(out.parent.iterdir()) == before
-    return said
+    return printed
 
 
 def _nothing(count, message):
@@ -55,10 +55,10 @@ def test_readings_that_are_no_numbers_are_passed_over(tmp_path, capsys, run_cli,
     assert scores["rmse/joint"] < 0.012 < 0.018 < scores["rmse/encoders"] < 0.022
 
 
-def _said_of_time(result):
-    (said,) = [one["text"] for one in result["findings"] if "times run backwards" in one["text"]]
-    assert said.startswith("joints ")
-    return said
+def _times_text(result):
+    (printed,) = [one["text"] for one in result["findings"] if "times run backwards" in one["text"]]
+    assert printed.startswith("joints ")
+    return printed
 
 
 @PLACES
@@ -69,7 +69,7 @@ def test_a_few_stamps_that_run_backwards_are_left_out(tmp_path, capsys, run_cli,
         return True
 
     result, scores = _estimated(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
-    assert "10 of 150 messages, 1.200 to 1.380 s after its first" in _said_of_time(result)
+    assert "10 of 150 messages, 1.200 to 1.380 s after its first" in _times_text(result)
     assert any("rejected 10 (time runs backwards) of 150" in one["text"] for one in result["findings"])
     assert scores["used/encoders"] == 140 and scores["rmse/joint"] < scores["rmse/encoders"]
     assert not result["faults"]
@@ -83,7 +83,7 @@ def test_a_clock_that_runs_backwards_is_named_and_not_used(tmp_path, capsys, run
         return True
 
     result, scores = _estimated(capsys, run_cli, made(log, change, until=6.0), arm_body, tmp_path / "out.mcap")
-    assert "log time is used instead" in _said_of_time(result)
+    assert "log time is used instead" in _times_text(result)
     assert scores["used/encoders"] == 300 and scores["rmse/joint"] < 0.6 * scores["rmse/encoders"]
     assert not result["faults"]
 
@@ -94,9 +94,9 @@ def test_joints_of_another_robot_are_named_beside_the_bodys(tmp_path, capsys, ru
         message.name = [f"other_{name}" for name in message.name]
         return True
 
-    said = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
+    printed = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
     for name in ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint"):
-        assert f" {name}" in said and f"other_{name}" in said
+        assert f" {name}" in printed and f"other_{name}" in printed
 
 
 @PLACES
@@ -105,8 +105,8 @@ def test_one_joint_of_the_body_that_is_absent_is_named(tmp_path, capsys, run_cli
         message.name = ["wrist_9_joint" if name == "elbow_joint" else name for name in message.name]
         return True
 
-    said = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
-    assert ": elbow_joint missing;" in said and "wrist_9_joint" in said
+    printed = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
+    assert ": elbow_joint missing;" in printed and "wrist_9_joint" in printed
 
 
 @PLACES
@@ -116,8 +116,8 @@ def test_encoders_that_never_say_a_number_are_refused(tmp_path, capsys, run_cli,
         message.position[: 1 if spoken.startswith("one") else None] = np.nan
         return spoken != "nothing"
 
-    said = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
-    assert "joints: " in said
+    printed = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
+    assert "joints: " in printed
 
 
 @PLACES
@@ -126,8 +126,8 @@ def test_encoders_of_fewer_positions_than_names_are_refused_with_why(tmp_path, c
         message.position = message.position[:4]
         return True
 
-    said = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
-    assert "/joint_states was considered, but has no usable message: 150 (4 positions for 6 names)" in said
+    printed = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
+    assert "/joint_states was considered, but has no usable message: 150 (4 positions for 6 names)" in printed
 
 
 @PLACES
@@ -136,8 +136,8 @@ def test_a_named_sense_without_an_observation_is_refused_by_name(
     tmp_path, capsys, run_cli, arm_body, made, log, sense
 ):
     blind = made(log, _nothing, kept=lambda topic: "image" not in topic)
-    said = _refused(capsys, run_cli, blind, arm_body, tmp_path / "out.mcap", "--with", f"encoders,{sense}")
-    assert sense in said
+    printed = _refused(capsys, run_cli, blind, arm_body, tmp_path / "out.mcap", "--with", f"encoders,{sense}")
+    assert sense in printed
 
 
 @PLACES
@@ -173,8 +173,8 @@ def test_encoders_that_lie_are_named_with_when_and_how_much(tmp_path, capsys, ru
 def test_a_log_cut_before_anything_can_be_read_is_named_with_what_is_lost(tmp_path, capsys, run_cli, arm, arm_body):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((arm / "reach.mcap").read_bytes()[:20_000])
-    said = _refused(capsys, run_cli, cut, arm_body, tmp_path / "out.mcap")
-    assert "no sense has measurements" in said and "from byte 36 19964 bytes" in said
+    printed = _refused(capsys, run_cli, cut, arm_body, tmp_path / "out.mcap")
+    assert "no sense has measurements" in printed and "from byte 36 19964 bytes" in printed
 
 
 def test_a_log_cut_inside_its_only_chunk_is_read_up_to_there(tmp_path, capsys, run_cli, arm, arm_body):

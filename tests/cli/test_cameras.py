@@ -22,14 +22,14 @@ def watched(tmp_path_factory, run_cli):
     return folder
 
 
-def _said(capsys, run_cli, *arguments):
+def _printed(capsys, run_cli, *arguments):
     capsys.readouterr()
     assert run_cli(*arguments, "--json") == 0
     return json.loads(capsys.readouterr().out)["results"][0]
 
 
 def _estimated(capsys, run_cli, folder, body, out, *typed):
-    result = _said(capsys, run_cli, "estimate", folder / "reach.mcap", "--body", folder / body, "-o", out, *typed)
+    result = _printed(capsys, run_cli, "estimate", folder / "reach.mcap", "--body", folder / body, "-o", out, *typed)
     return {name: one["value"] for name, one in result["scores"].items()}
 
 
@@ -46,10 +46,10 @@ def test_two_cameras_know_more_than_one(tmp_path, capsys, run_cli, watched, meth
 def test_each_camera_has_its_track_its_error_and_its_overlay(tmp_path, capsys, run_cli, watched):
     out = tmp_path / "out.mcap"
     _estimated(capsys, run_cli, watched, "two.npz", out, "--config", watched / "both.toml")
-    (said,) = _said(capsys, run_cli, "info", out, "--config", watched / "both.toml")
-    counts = {topic["topic"]: topic["messages"] for topic in said["topics"]}
-    assert said["roles"]["camera"] == "/camera/image/compressed"
-    assert said["roles"]["camera/side"] == "/side/image/compressed"
+    printed = _printed(capsys, run_cli, "info", out, "--config", watched / "both.toml")["log"]
+    counts = {topic["topic"]: topic["messages"] for topic in printed["topics"]}
+    assert printed["roles"]["camera"] == "/camera/image/compressed"
+    assert printed["roles"]["camera/side"] == "/side/image/compressed"
     assert counts["/bodylog/track/side/effector"] == 160
     for topic in ("predicted/side/effector", "prediction_error/side/effector"):
         assert 150 <= counts[f"/bodylog/{topic}"] <= 160
@@ -57,14 +57,14 @@ def test_each_camera_has_its_track_its_error_and_its_overlay(tmp_path, capsys, r
     assert "/bodylog/track/side/hand" not in counts
     again = tmp_path / "again.mcap"
     assert run_cli("estimate", out, "--body", watched / "two.npz", "-o", again) == 0
-    first, second = (_said(capsys, run_cli, "evaluate", log) for log in (out, again))
+    first, second = (_printed(capsys, run_cli, "evaluate", log) for log in (out, again))
     assert first["scores"] == second["scores"]
 
 
 def test_a_log_with_more_cameras_than_the_one_guessed_says_what_to_type(capsys, run_cli, watched):
-    (said,) = _said(capsys, run_cli, "info", watched / "reach.mcap")
-    assert said["roles"]["camera"] == "/camera/image/compressed" and "camera/side" not in said["roles"]
-    (text,) = [f["text"] for f in said["findings"] if f["text"].startswith("camera: ")]
+    printed = _printed(capsys, run_cli, "info", watched / "reach.mcap")["log"]
+    assert printed["roles"]["camera"] == "/camera/image/compressed" and "camera/side" not in printed["roles"]
+    (text,) = [f["text"] for f in printed["findings"] if f["text"].startswith("camera: ")]
     assert text.endswith("type: " + BOTH.strip().replace("\n", " "))
 
 
@@ -80,7 +80,7 @@ def test_a_named_camera_that_shows_nothing_is_refused_with_what_was_seen(tmp_pat
         assert "\n" not in error and "effector: 'magenta' was never found in" in error and "seen: green" in error
 
 
-def test_the_page_and_the_layout_show_every_camera_the_log_was_told_of(tmp_path, capsys, run_cli, watched):
+def test_the_page_and_the_layout_show_every_configured_camera(tmp_path, capsys, run_cli, watched):
     first, out, typed = tmp_path / "first.mcap", tmp_path / "out.mcap", ("--config", watched / "both.toml")
     _estimated(capsys, run_cli, watched, "two.npz", first, *typed)
     assert run_cli("estimate", first, "--body", watched / "two.npz", "-o", out) == 0
@@ -91,8 +91,8 @@ def test_the_page_and_the_layout_show_every_camera_the_log_was_told_of(tmp_path,
     panels = json.loads((tmp_path / "layout.json").read_text())["configById"]
     assert panels["Image!side"]["imageMode"]["imageTopic"] == "/side/image/compressed"
     (tmp_path / "side.toml").write_text('[topics]\ncamera = "/side/image/compressed"\n')
-    (said,) = _said(capsys, run_cli, "info", out, "--config", tmp_path / "side.toml")
-    assert said["roles"]["camera"] == "/side/image/compressed" and "camera/side" not in said["roles"]
+    printed = _printed(capsys, run_cli, "info", out, "--config", tmp_path / "side.toml")["log"]
+    assert printed["roles"]["camera"] == "/side/image/compressed" and "camera/side" not in printed["roles"]
 
 
 def test_cameras_in_another_order_than_learned_are_refused(tmp_path, capsys, run_cli, watched):
@@ -116,25 +116,25 @@ def test_a_camera_is_taken_for_the_body_s_of_another_name_unless_that_is_there(t
     (tmp_path / "side.toml").write_text('[topics]\ncamera = "/side/image/compressed"\n')
     side, alone, typed = tmp_path / "side.npz", tmp_path / "alone.mcap", ("--config", tmp_path / "side.toml")
     assert run_cli("fit", watched / "explore.mcap", "-o", side, *typed) == 0
-    (learned,) = _said(capsys, run_cli, "info", side)
+    learned = _printed(capsys, run_cli, "info", side)["log"]
     assert learned["provenance"]["cameras"] == ["/side/image/compressed"]
     assert run_cli("estimate", watched / "reach.mcap", "--body", side, "-o", tmp_path / "out.mcap") == 65
     advice = '; type: [topics] camera = "/side/image/compressed", for the log as it was recorded'
     assert capsys.readouterr().err.strip().endswith(advice)
     assert run_cli("ingest", watched / "reach.mcap", "-o", alone, *typed) == 0
-    said = _said(capsys, run_cli, "estimate", alone, "--body", side, "-o", tmp_path / "out.mcap")
-    (text,) = [f["text"] for f in said["findings"] if f["text"].startswith("camera: ")]
+    printed = _printed(capsys, run_cli, "estimate", alone, "--body", side, "-o", tmp_path / "out.mcap")
+    (text,) = [f["text"] for f in printed["findings"] if f["text"].startswith("camera: ")]
     assert text.endswith("/camera/image/compressed comes first here, /side/image/compressed where the body was learned")
 
 
 def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, run_cli, watched):
     tidy = tmp_path / "tidy.mcap"
     assert run_cli("ingest", watched / "reach.mcap", "-o", tidy, "--config", watched / "both.toml") == 0
-    (said,) = _said(capsys, run_cli, "info", tidy)
-    counts = {topic["topic"]: topic["messages"] for topic in said["topics"] if "image" in topic["topic"]}
+    printed = _printed(capsys, run_cli, "info", tidy)["log"]
+    counts = {topic["topic"]: topic["messages"] for topic in printed["topics"] if "image" in topic["topic"]}
     assert counts == {"/camera/image/compressed": 160, "/side/image/compressed": 160}
     raw, again = (
-        _said(capsys, run_cli, "estimate", log, "--body", watched / "two.npz", "-o", tmp_path / "o.mcap",
+        _printed(capsys, run_cli, "estimate", log, "--body", watched / "two.npz", "-o", tmp_path / "o.mcap",
               "--config", watched / "both.toml")
         for log in (watched / "reach.mcap", tidy)
     )  # fmt: skip
@@ -156,7 +156,7 @@ def test_features_of_two_cameras_are_enough_with_the_same_config(tmp_path, capsy
     features, typed = tmp_path / "features.mcap", ("--config", watched / "both.toml")
     assert run_cli("extract", watched / "reach.mcap", "-o", features, *typed) == 0
     typed = (*typed, "--body", watched / "two.npz", "-o", tmp_path / "out.mcap")
-    whole, found = (_said(capsys, run_cli, "estimate", log, *typed) for log in (watched / "reach.mcap", features))
+    whole, found = (_printed(capsys, run_cli, "estimate", log, *typed) for log in (watched / "reach.mcap", features))
     kept = _without_poses(whole["scores"])
     assert "side/effector" in found["health"] and found["scores"] == kept  # features have no true poses beside them
 
@@ -166,7 +166,7 @@ def test_a_head_that_turns_is_learned_and_estimated_as_a_joint(tmp_path, capsys,
         where = ("-o", tmp_path / f"{name}.mcap", "--size", "160x120", "--turning")
         assert run_cli("record", scenario, *where, "--seed", seed, "--duration", seconds) == 0
     body = tmp_path / "body.npz"
-    learned = _said(capsys, run_cli, "fit", tmp_path / "explore.mcap", "-o", body)
+    learned = _printed(capsys, run_cli, "fit", tmp_path / "explore.mcap", "-o", body)
     scores = {name: one["value"] for name, one in learned["scores"].items()}
     assert scores["influence/effector/head_pan_joint"] > 4 and scores["rmse/held_out/effector"] < 0.4
     found = _estimated(capsys, run_cli, tmp_path, "body.npz", tmp_path / "out.mcap")

@@ -6,13 +6,13 @@ import pytest
 
 def test_without_a_command_the_help_is_printed_on_standard_error(capsys, run_cli):
     assert run_cli() == 2
-    shown, told = capsys.readouterr()
-    assert not shown and told.startswith("Usage: bodylog") and "estimate" in told
+    out, shown = capsys.readouterr()
+    assert not out and shown.startswith("Usage: bodylog") and "estimate" in shown
 
 
 @pytest.mark.parametrize("typed", [("nothing",), ("info",), ("estimate", "--bodi", "x"), ("config", "--nothing")])
 def test_a_usage_error_is_one_line_with_a_click_that_has_no_such_exception(monkeypatch, capsys, run_cli, typed):
     monkeypatch.delattr(click.exceptions, "NoArgsIsHelpError", raising=False)  # click 8.1
     assert run_cli(*typed) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("bodylog: ") and told.count("\n") == 1 and "--help" in told
+    shown = capsys.readouterr().err
+    assert shown.startswith("bodylog: ") and shown.count("\n") == 1 and "--help" in shown

@@ -6,15 +6,15 @@ import shutil
 import pytest
 
 
-def _said(capsys, code, run_cli, *arguments):
+def _printed(capsys, code, run_cli, *arguments):
     """What was said on standard error by a command that ends with `code`, which is one line when it fails."""
     capsys.readouterr()
     assert run_cli(*arguments) == code
-    said = capsys.readouterr().err
+    printed = capsys.readouterr().err
     if code in (2, 65):
-        assert said.strip().count("\n") == 0, said
-        assert "Traceback" not in said
-    return said
+        assert printed.strip().count("\n") == 0, printed
+        assert "Traceback" not in printed
+    return printed
 
 
 def test_info_is_a_list_with_an_object_per_log(capsys, run_cli, robot):
@@ -45,7 +45,7 @@ def test_estimate_then_evaluate_say_the_same_scores(tmp_path, capsys, run_cli, r
 def test_a_broken_bound_ends_with_4_and_says_which(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out.mcap"
     assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
-    assert "rmse/joint" in _said(capsys, 4, run_cli, "evaluate", out, "--fail-if", "rmse/joint>1e-9")
+    assert "rmse/joint" in _printed(capsys, 4, run_cli, "evaluate", out, "--fail-if", "rmse/joint>1e-9")
     assert run_cli("evaluate", out, "--fail-if", "rmse/joint>1") == 0
 
 
@@ -56,9 +56,9 @@ def test_of_many_evaluated_one_that_holds_nothing_hides_no_other(tmp_path, capsy
     typed = ("evaluate", out, tmp_path / "empty.mcap", "--json", "--fail-if", "rmse/joint>1e-9")
     capsys.readouterr()
     assert run_cli(*typed) == 65
-    shown, said = capsys.readouterr()
+    shown, printed = capsys.readouterr()
     assert [one["input"] for one in json.loads(shown)["results"]] == [str(out)]
-    assert "empty.mcap: the file is empty" in said and "rmse/joint is" in said
+    assert "empty.mcap: the file is empty" in printed and "rmse/joint is" in printed
 
 
 def test_named_senses_are_used_and_no_others(tmp_path, capsys, run_cli, robot):
@@ -85,13 +85,14 @@ def test_compare_has_a_row_for_every_method_and_subset(capsys, run_cli, robot):
 
 
 def test_of_many_logs_one_that_is_none_hides_no_other(capsys, run_cli, robot):
-    for name, shape in (("info", "log"), ("doctor", "findings")):
+    for name, key in (("info", "log"), ("doctor", "findings")):
         capsys.readouterr()
         logs = (robot / "reach.mcap", robot / "absent.mcap", robot / "explore.mcap")
         assert run_cli(name, *logs, "--json") == 65
-        told = capsys.readouterr()
-        assert [one["input"] for one in json.loads(told.out)["results"] if shape in one] == [str(logs[0]), str(logs[2])]
-        assert told.err == f"bodylog: {logs[1]}: there is no such file or folder; check the name\n"
+        shown = capsys.readouterr()
+        results = json.loads(shown.out)["results"]
+        assert [one["input"] for one in results if key in one] == [str(logs[0]), str(logs[2])]
+        assert shown.err == f"bodylog: {logs[1]}: there is no such file or folder; check the name\n"
         assert run_cli(name, logs[1], robot / "nor.this") == 65
         assert capsys.readouterr().err.count("\n") == 2
 
@@ -188,10 +189,10 @@ NAMES = (
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_cannot_be_done_is_one_line_and_leaves_nothing(tmp_path, capsys, run_cli, robot, name):
-    code, said, typed = _wrong(robot, tmp_path)[name]
+    code, printed, typed = _wrong(robot, tmp_path)[name]
     before = {path.name for path in tmp_path.iterdir()}
     kept = (robot / "reach.mcap").read_bytes()
-    assert said in _said(capsys, code, run_cli, *typed)
+    assert printed in _printed(capsys, code, run_cli, *typed)
     assert {path.name for path in tmp_path.iterdir()} == before
     assert (robot / "reach.mcap").read_bytes() == kept
 
@@ -204,8 +205,9 @@ def test_a_model_for_another_robot_names_the_joints_of_both(tmp_path, capsys, ru
     out = tmp_path / "out.mcap"
     typed = ("record", "babble", "-o", tmp_path / "seven.mcap", "--arm", "seven", "--duration", 2, "--size", "160x120")
     assert run_cli(*typed) == 0
-    said = _said(capsys, 65, run_cli, "estimate", tmp_path / "seven.mcap", "--body", robot / "body.npz", "-o", out)
-    assert "shoulder_pan_joint" in said
+    estimate = ("estimate", tmp_path / "seven.mcap", "--body", robot / "body.npz", "-o", out)
+    printed = _printed(capsys, 65, run_cli, *estimate)
+    assert "shoulder_pan_joint" in printed
     assert not out.exists()
 
 
@@ -213,8 +215,8 @@ def test_a_truncated_log_is_used_up_to_the_damage_and_ends_with_3(tmp_path, caps
     whole = (robot / "explore.mcap").read_bytes()
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     cut.write_bytes(whole[: len(whole) * 3 // 4])
-    said = _said(capsys, 3, run_cli, "estimate", cut, "--body", robot / "body.npz", "-o", out)
-    assert "lost" in said
+    printed = _printed(capsys, 3, run_cli, "estimate", cut, "--body", robot / "body.npz", "-o", out)
+    assert "lost" in printed
     assert out.exists()
 
 
@@ -223,7 +225,7 @@ def test_strict_refuses_a_truncated_log(tmp_path, capsys, run_cli, robot):
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     cut.write_bytes(whole[: len(whole) * 3 // 4])
     for typed in (("info", cut), ("estimate", cut, "--body", robot / "body.npz", "-o", out), ("fit", cut, "-o", out)):
-        assert "--strict" in _said(capsys, 65, run_cli, *typed, "--strict")
+        assert "--strict" in _printed(capsys, 65, run_cli, *typed, "--strict")
     assert not out.exists()
 
 
@@ -271,10 +273,10 @@ def test_a_log_recorded_twice_has_the_same_bytes(tmp_path, run_cli, robot):
     assert (tmp_path / "again.mcap").read_bytes() == (robot / "reach.mcap").read_bytes()
 
 
-def test_a_log_in_a_folder_that_cannot_be_read_is_said(tmp_path, capsys, run_cli, robot):
+def test_a_log_in_a_folder_that_cannot_be_read_is_an_error(tmp_path, capsys, run_cli, robot):
     shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
     (tmp_path / "reach.mcap").unlink()
-    assert "reach.mcap" in _said(capsys, 65, run_cli, "info", tmp_path / "reach.mcap")
+    assert "reach.mcap" in _printed(capsys, 65, run_cli, "info", tmp_path / "reach.mcap")
 
 
 def test_what_was_found_is_exported_as_tables(tmp_path, run_cli, robot):
@@ -303,6 +305,6 @@ def test_what_a_command_reads_it_never_writes_to(tmp_path, capsys, run_cli, robo
     shutil.copy(robot / "body.npz", body)
     typed = ("--body", body) if name == "estimate" else ()
     for out in (log, body) if name == "estimate" else (log,):
-        assert "is also an input" in _said(capsys, 2, run_cli, name, log, *typed, "-o", out)
+        assert "is also an input" in _printed(capsys, 2, run_cli, name, log, *typed, "-o", out)
     assert log.read_bytes() == (robot / "reach.mcap").read_bytes()
     assert body.read_bytes() == (robot / "body.npz").read_bytes()

@@ -17,34 +17,34 @@ from .spoilt import spoil
 def _ran(capsys, run_cli, *typed):
     capsys.readouterr()
     assert run_cli("compare", *typed, "--json") == 0
-    said = json.loads(capsys.readouterr().out)["results"][0]
-    return {(row["method"], tuple(row["senses"])) for row in said["rows"]}, said
+    printed = json.loads(capsys.readouterr().out)["results"][0]
+    return {(row["method"], tuple(row["senses"])) for row in printed["rows"]}, printed
 
 
 def test_what_the_settings_leave_out_is_in_no_row(tmp_path, capsys, run_cli, robot):
     config = tmp_path / "robot.toml"
     config.write_text('[estimate]\nwithout = ["vision", "touch", "elbow_joint"]\n')
     typed = (robot / "reach.mcap", "--body", robot / "body.npz", "--config", config)
-    rows, said = _ran(capsys, run_cli, *typed)
+    rows, printed = _ran(capsys, run_cli, *typed)
     assert rows == {(method, ("encoders",)) for method in METHODS}
-    assert all("std/encoders/elbow_joint" in row["scores"] for row in said["rows"] if row["method"] == "laplace")
-    assert all(row["scores"]["rmse/joint/elbow_joint"]["value"] > 0.01 for row in said["rows"])
+    assert all("std/encoders/elbow_joint" in row["scores"] for row in printed["rows"] if row["method"] == "laplace")
+    assert all(row["scores"]["rmse/joint/elbow_joint"]["value"] > 0.01 for row in printed["rows"])
 
 
 def test_a_sense_the_body_lacks_is_in_no_row(tmp_path, capsys, run_cli, robot):
     body = storage.load(robot / "body.npz")
     noise = replace(body.noise, senses={}, std_error={k: v for k, v in body.noise.std_error.items() if k != "effector"})
     storage.save(replace(body, senses={}, noise=noise), tmp_path / "blind.npz")
-    rows, said = _ran(capsys, run_cli, robot / "reach.mcap", "--body", tmp_path / "blind.npz")
+    rows, printed = _ran(capsys, run_cli, robot / "reach.mcap", "--body", tmp_path / "blind.npz")
     assert rows == {(method, ("encoders",)) for method in METHODS}
-    assert not any("log_density/held_out" in row["scores"] for row in said["rows"])
+    assert not any("log_density/held_out" in row["scores"] for row in printed["rows"])
 
 
 def test_warnings_name_the_rows_they_are_about(capsys, run_cli, robot):
-    _, said = _ran(capsys, run_cli, robot / "reach.mcap", "--body", robot / "body.npz")
-    (text,) = [f["text"] for f in said["findings"] if "many postures look alike" in f["text"]]
+    _, printed = _ran(capsys, run_cli, robot / "reach.mcap", "--body", robot / "body.npz")
+    (text,) = [f["text"] for f in printed["findings"] if "many postures look alike" in f["text"]]
     assert text.startswith("laplace vision; smoother vision; ekf vision; predictive-coding vision: vision: 2 numbers")
-    assert sum("predictive-coding: knows no motion" in f["text"] for f in said["findings"]) == 1
+    assert sum("predictive-coding: knows no motion" in f["text"] for f in printed["findings"]) == 1
 
 
 def test_a_log_that_says_nothing_is_refused(tmp_path, capsys, run_cli, robot):
@@ -75,10 +75,10 @@ def test_what_is_timed_has_run_before(monkeypatch, robot):
         return inner(features, learned, settings)
 
     monkeypatch.setattr(compare, "infer", infer)
-    told = []
+    shown = []
     settings = Settings(estimate=Estimation(without=("touch",)))
-    rows, _ = compare.compare(robot / "reach.mcap", robot / "body.npz", settings, None, told.append)
-    assert told == rows and len(asked) == 2 * len(rows)
+    rows, _ = compare.compare(robot / "reach.mcap", robot / "body.npz", settings, None, shown.append)
+    assert shown == rows and len(asked) == 2 * len(rows)
     for first, then in zip(asked[::2], asked[1::2], strict=True):
         assert first[0] == then[0] and first[1] < then[1]
 

@@ -18,15 +18,18 @@ def _learned(capsys, run_cli, out, *typed):
     return result, {name: one["value"] for name, one in result["scores"].items()}, result["body"]
 
 
-def _said(capsys, run_cli, *typed):
+def _printed(capsys, run_cli, *typed):
     capsys.readouterr()
     assert run_cli(*typed) == 0
     return capsys.readouterr()
 
 
 def test_fit_prints_what_it_learned_and_what_it_did_not(tmp_path, capsys, run_cli, arm):
-    said = _said(capsys, run_cli, "fit", arm / "explore.mcap", "-o", tmp_path / "body.npz")
-    scores = {name: float(value) for name, value in re.findall(r"^(\w+\.\S+) +([0-9.e-]+)  ", said.out, re.MULTILINE)}
+    typed = ("fit", arm / "explore.mcap", "-o", tmp_path / "body.npz", "--all", "-v")
+    printed = _printed(capsys, run_cli, *typed)
+    assert printed.out.startswith("learned over 3 joints: elbow_joint, ")
+    rows = re.findall(r"^(\w+/\S+) +\S+ +([0-9.e-]+)$", printed.out, re.MULTILINE)
+    scores = {name: float(value) for name, value in rows}
     for joint in JOINTS:
         assert 0.5 < scores[f"range/{joint}"] < 1.5
         assert scores[f"influence/effector/{joint}"] > 10.0
@@ -34,20 +37,20 @@ def test_fit_prints_what_it_learned_and_what_it_did_not(tmp_path, capsys, run_cl
     assert scores["used_share/effector"] == 1.0 and scores["rmse/held_out/effector"] < 0.6
     assert 0.7 < scores["nis/held_out/effector"] < 1.5
     for joint in ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint"):
-        assert f"{joint}: moved 0.000 rad, left out: vision says nothing about it" in said.err
-    told = _said(capsys, run_cli, "info", tmp_path / "body.npz").out
-    assert said.out.endswith(told) and "touch: a1 = 1, b1 = 0.003472 /px²" in told
-    assert re.search(r"inputs: explore\.mcap [0-9a-f]{64}\n", told)
+        assert f"{joint}: moved 0.000 rad, left out: vision says nothing about it" in printed.err
+    shown = _printed(capsys, run_cli, "info", tmp_path / "body.npz").out
+    assert printed.out.endswith(shown) and "touch: a1 = 1, b1 = 0.003472 /px²" in shown
+    assert re.search(r"inputs: explore\.mcap [0-9a-f]{64}\n", shown)
 
 
-def test_noise_is_told_with_standard_errors_that_hold(tmp_path, capsys, run_cli, arm):
+def test_noise_is_printed_with_standard_errors_that_hold(tmp_path, capsys, run_cli, arm):
     """The arm's encoders have 0.003 rad (its README)."""
-    told = _said(capsys, run_cli, "fit", arm / "explore.mcap", "-o", tmp_path / "body.npz").out
-    found = re.findall(r"  noise encoders (\w+): (\S+) ± (\S+) rad\n", told)
+    shown = _printed(capsys, run_cli, "fit", arm / "explore.mcap", "-o", tmp_path / "body.npz", "--all").out
+    found = re.findall(r"  noise encoders (\w+): (\S+) ± (\S+) rad\n", shown)
     assert tuple(joint for joint, _, _ in found) == JOINTS
     assert all(abs(float(std) - 0.003) < 4.0 * float(off) < 3e-4 for _, std, off in found)
-    assert len(re.findall(r"  noise effector [uv]: \S+ ± \S+ px\n", told)) == 2
-    assert len(re.findall(r"  process \w+: \S+ ± \S+ rad²/s³\n", told)) == 3
+    assert len(re.findall(r"  noise effector [uv]: \S+ ± \S+ px\n", shown)) == 2
+    assert len(re.findall(r"  process \w+: \S+ ± \S+ rad²/s³\n", shown)) == 3
 
 
 def test_logs_of_three_containers_are_learned_from_together(tmp_path, capsys, run_cli, arm):
@@ -94,12 +97,12 @@ def test_touch_logs_teach_the_constants_and_where_each_cell_is_seen(tmp_path, ca
     _, _, body = _learned(capsys, run_cli, tmp_path / "body.npz", arm / "touch.mcap", "--update", arm_body)
     assert body["touch"]["b1"] < 0.002
     truth = np.load(arm / "touch.mcap.truth.npz")
-    told = _said(capsys, run_cli, "info", tmp_path / "body.npz").out
+    shown = _printed(capsys, run_cli, "info", tmp_path / "body.npz").out
     for onset, offset, cell in truth["touches"]:
         during = (truth["tf"] >= onset) & (truth["tf"] <= offset)
         place = (truth["hand"] - truth["ee"])[during].mean(axis=0)
         assert body["cells"][str(int(cell))][:2] == pytest.approx(place, abs=1.5)
-        assert f"  cell {int(cell)}: seen " in told
+        assert f"  cell {int(cell)}: seen " in shown
 
 
 def test_the_body_is_plotted_over_two_joints_with_its_samples(tmp_path, run_cli, arm_body):
@@ -168,14 +171,14 @@ def test_another_robots_body_is_not_learned_on_from(tmp_path, capsys, run_cli, r
     assert list(tmp_path.iterdir()) == [body]
 
 
-def test_a_body_that_is_not_there_is_said(tmp_path, capsys, run_cli):
+def test_a_missing_body_is_an_error(tmp_path, capsys, run_cli):
     capsys.readouterr()
     assert run_cli("info", tmp_path / "none.npz") == 65
     assert "there is no such body model; type: bodylog fit LOG" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["body", "body.txt"])
-def test_a_body_of_any_name_is_told_of_and_plotted(tmp_path, capsys, run_cli, arm_body, name):
+def test_a_body_of_any_name_is_printed_and_plotted(tmp_path, capsys, run_cli, arm_body, name):
     shutil.copy(arm_body, tmp_path / name)
     assert run_cli("info", tmp_path / name) == 0
     assert "body model of" in capsys.readouterr().out

@@ -27,10 +27,10 @@ def test_a_log_without_a_body_gets_its_joints_alone(robot, alone, capsys, run_cl
     assert {"/bodylog/joint_states", "/bodylog/joint_covariance", "/bodylog/free_energy"} <= topics
     capsys.readouterr()
     assert run_cli("estimate", robot / "reach.mcap", "-o", alone, "--json") == 0
-    said = json.loads(capsys.readouterr().out)["results"][0]
-    texts = [finding["text"] for finding in said["findings"]]
+    printed = json.loads(capsys.readouterr().out)["results"][0]
+    texts = [finding["text"] for finding in printed["findings"]]
     assert any("no --body: the joints' own sensors alone" in text and "--body body.npz" in text for text in texts)
-    assert not said["faults"] and "rmse/joint" in said["scores"]
+    assert not printed["faults"] and "rmse/joint" in printed["scores"]
 
 
 def test_what_no_sense_could_show_breaks_its_bound_without_a_body(robot, alone, run_cli):
@@ -59,13 +59,13 @@ def test_truth_kept_elsewhere_scores_as_truth_in_the_log(tmp_path, robot, alone,
         np.savez(path, t=truth.t, q=truth.values, names=np.array(truth.names), start=read.start_ns)
     else:
         path = robot / "reach.mcap"
-    said = []
+    printed = []
     for typed in ((), ("--truth", path)):
         capsys.readouterr()
         assert run_cli("evaluate", alone, "--json", *typed) == 0
         scores = json.loads(capsys.readouterr().out)["results"][0]["scores"]
-        said.append({name: one["value"] for name, one in scores.items()})
-    assert said[0]["rmse/joint"] == pytest.approx(said[1]["rmse/joint"], rel=1e-4)
+        printed.append({name: one["value"] for name, one in scores.items()})
+    assert printed[0]["rmse/joint"] == pytest.approx(printed[1]["rmse/joint"], rel=1e-4)
 
 
 def test_truth_of_other_joints_or_another_time_is_refused_with_what_is_possible(tmp_path, alone, run_cli, capsys):
@@ -77,11 +77,11 @@ def test_truth_of_other_joints_or_another_time_is_refused_with_what_is_possible(
         assert why in capsys.readouterr().err
 
 
-def test_a_real_robots_joints_are_told_by_themselves(tmp_path, run_cli, capsys):
+def test_a_real_robots_joints_are_estimated_without_a_body(tmp_path, run_cli, capsys):
     log = SHARED / "ipab-slmc__kuka_honeypot_demo" / "data" / "test.bag"
     if not log.exists():
         pytest.skip(f"{log} is not at hand")
-    assert run_cli("estimate", log, "-o", tmp_path / "a.mcap", "--fail-if", "faults>0") == 0
+    assert run_cli("estimate", log, "-o", tmp_path / "a.mcap", "-v", "--fail-if", "faults>0") == 0
     assert "readings that repeat the one before: lwr_arm_4_joint 67%" in capsys.readouterr().err
 
 
@@ -92,11 +92,11 @@ def test_joints_outside_of_a_urdfs_limits_are_named(tmp_path, robot, run_cli, ca
     elbow = re.compile(r'(name="elbow_joint".*?)<limit [^>]*>', re.DOTALL)
     closer.write_text(elbow.sub(r'\1<limit lower="-9" upper="-8"/>', text))
     assert closer.read_text() != text
-    typed = ("estimate", robot / "reach.mcap", "-o", out)
+    typed = ("estimate", robot / "reach.mcap", "-o", out, "-v")
     assert run_cli(*typed, "--urdf", "log") == 0 and run_cli(*typed) == 0
     assert "outside of" not in capsys.readouterr().err
     assert run_cli(*typed, "--urdf", closer) == 0
-    assert "elbow_joint: " in (said := capsys.readouterr().err) and f"outside of -9 to -8 rad ({closer})" in said
+    assert "elbow_joint: " in (printed := capsys.readouterr().err) and f"outside of -9 to -8 rad ({closer})" in printed
     assert run_cli(*typed, "--urdf", closer, "--body", robot / "body.npz") == 2
     assert run_cli("estimate", closer, "-o", closer, "--urdf", closer) == 2
     closer.write_text("<robot/>")

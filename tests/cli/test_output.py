@@ -26,9 +26,9 @@ def test_a_terminal_obeys_no_name(tmp_path: Path, capsys, monkeypatch, run_cli) 
     for typed in (("info", log), ("doctor", log), ("plot", log, "-o", tmp_path / "x.png"), ("fit", log, "-o", "b.npz")):
         capsys.readouterr()
         run_cli(*typed)
-        said = "".join(capsys.readouterr())
-        assert not [c for c in said if c != "\n" and not c.isprintable()]
-        assert not [line for line in said.splitlines() if line.startswith("bodylog: all is well")]
+        printed = "".join(capsys.readouterr())
+        assert not [c for c in printed if c != "\n" and not c.isprintable()]
+        assert not [line for line in printed.splitlines() if line.startswith("bodylog: all is well")]
     run_cli("info", log)
     assert "\\x1b[2J" in capsys.readouterr().out
 
@@ -62,7 +62,7 @@ def test_what_nobody_hears_changes_no_exit_code(tmp_path: Path) -> None:
             assert subprocess.run([*command, str(typed)], stderr=full, timeout=60).returncode == code
 
 
-def test_names_that_an_output_cannot_write_are_told_by_their_codes(tmp_path: Path) -> None:
+def test_names_that_an_output_cannot_write_are_printed_as_codes(tmp_path: Path) -> None:
     rows = [(T0 + k * 10**7, joint_state(T0 + k * 10**7, ("ä", "🤖"), (0.1 * k, 0.0))) for k in range(20)]
     log = write(tmp_path / "x.mcap", [joints("/joints", rows)])
     command = [sys.executable, "-m", "bodylog_cli", "info", str(log)]
@@ -82,3 +82,56 @@ def test_standard_output_on_a_full_disk_is_an_output_that_cannot_be_written() ->
         command = [sys.executable, "-m", "bodylog_cli", "config"]
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (74, "bodylog: output: No space left on device\n")
+
+
+def test_estimate_prints_eight_lines_none_with_q_and_information_with_v(tmp_path, capsys, run_cli, robot) -> None:
+    typed = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap")
+    capsys.readouterr()
+    assert run_cli(*typed) == 0
+    plain = capsys.readouterr()
+    assert plain.out.startswith("no fault found in ") and "error (RMSE) " in plain.out
+    assert len([*plain.out.splitlines(), *plain.err.splitlines()]) <= 8 and "info: " not in plain.err
+    assert run_cli(*typed, "-q") == 0
+    assert capsys.readouterr() == ("", "")
+    assert run_cli(*typed, "-v") == 0
+    verbose = capsys.readouterr()
+    assert verbose.out == plain.out and "info: " in verbose.err
+    assert run_cli(*typed, "--all") == 0
+    assert "rmse/joint " in capsys.readouterr().out.removeprefix(plain.out)
+
+
+def test_many_logs_evaluated_are_a_table_with_a_row_for_each(tmp_path, capsys, run_cli, robot) -> None:
+    logs = [tmp_path / "a.mcap", tmp_path / "longer.mcap"]
+    for log in logs:
+        assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", log) == 0
+    capsys.readouterr()
+    assert run_cli("evaluate", *logs) == 0
+    head, units, *rows = capsys.readouterr().out.splitlines()
+    assert head.split() == ["log", "rmse/joint", "rmse/encoders", "nees/joint", "coverage_2sigma/joint", "faults"]
+    assert units.split() == ["rad", "rad", "1", "%", "1"] and [row.split()[0] for row in rows] == [*map(str, logs)]
+    assert len({len(row) for row in (head, *rows)}) == 1
+
+
+def test_a_fault_is_printed_once(capsys) -> None:
+    from bodylog.fault_findings import named
+    from bodylog.pipeline import Result
+    from bodylog.types import Fault
+
+    fault = Fault("encoders", "elbow", "drifting", 8.8, 0.3, "rad")
+    output.show(Result(None, findings=named([fault]), faults=(fault,), verdict=("elbow: encoder drifts",)), "x", False)
+    assert capsys.readouterr() == ("elbow: encoder drifts\n", "")
+    output.show(Result(None, findings=named([fault]), faults=(fault,)), "x", False)
+    assert capsys.readouterr().err.startswith("warning: encoders elbow: drifting")
+
+
+def test_help_lists_every_command_once_with_its_whole_summary(capsys, run_cli) -> None:
+    from bodylog_cli.commands import GROUPS, bodylog
+
+    assert run_cli("--help") == 0
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    listed = [command for commands in GROUPS.values() for command in commands]
+    assert {command.name for command in listed} == set(bodylog.commands) and len(listed) == len(bodylog.commands)
+    for command in listed:
+        summary = command.get_short_help_str(limit=200)
+        assert len(summary) < 55 and "..." not in summary
+        assert any(line.split(maxsplit=1) == [command.name, summary] for line in lines), command.name

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 import pytest
-from bodylog_cli.commands import COMMANDS
+from bodylog_cli.commands import bodylog
 from bodylog_cli.options import Folder, Named, OutputFile, Searched
 
 from bodylog.checks import distinct
@@ -28,7 +28,7 @@ def _is_input(param):
 
 PAIRS = [
     (command, read, written)
-    for command in COMMANDS
+    for command in bodylog.commands.values()
     for written in filter(_is_output, command.params)
     for read in filter(_is_input, command.params)
 ]
@@ -38,10 +38,10 @@ IDS = [f"{command.name} {read.name} {written.name}" for command, read, written i
 def test_every_option_that_writes_says_so_by_its_type():
     """So that the guard knows it; a new command whose output has another type fails here."""
     wrong = []
-    for command in COMMANDS:
+    for command in bodylog.commands.values():
         for param in command.params:
-            told, place = str(getattr(param, "help", "")).lower(), str(param.metavar).lower()
-            writes = {"-o", "--output"} & set(param.opts) or "write" in told or "draw" in told or "out." in place
+            shown, place = str(getattr(param, "help", "")).lower(), str(param.metavar).lower()
+            writes = {"-o", "--output"} & set(param.opts) or "write" in shown or "draw" in shown or "out." in place
             if writes and not _is_output(param):
                 wrong.append((command.name, param.opts))
             if isinstance(param.type, click.Path) and not isinstance(param.type, Named):
@@ -90,8 +90,8 @@ def _refused(capsys, run_cli, folder, words):
     before = _tree(folder)
     capsys.readouterr()
     assert run_cli(*words) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and " input" in said and "choose " in said, said
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and " input" in printed and "choose " in printed, printed
     assert _tree(folder) == before
 
 

@@ -39,6 +39,7 @@ def test_poses_are_estimated_scored_compared_and_reported(tables, run_cli, capsy
     assert run_cli("compare", folder / "test.csv", "--body", body, "-v") == 0
     assert "the log has still poses" in capsys.readouterr().err
     assert run_cli("report", out, "-o", folder / "report.html") == 0
+    capsys.readouterr()
     assert run_cli("info", folder / "test.csv", "--json") == 0
     described = json.loads(capsys.readouterr().out)["results"][0]["log"]
     assert described["format"] == "csv" and described["joints"] == ["pan", "lift"]

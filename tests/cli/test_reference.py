@@ -16,7 +16,7 @@ def squared(tmp_path_factory, run_cli):
     return folder
 
 
-def _said(capsys, run_cli, *arguments):
+def _printed(capsys, run_cli, *arguments):
     capsys.readouterr()
     assert run_cli(*arguments, "--json") == 0
     result = json.loads(capsys.readouterr().out)["results"][0]
@@ -25,21 +25,22 @@ def _said(capsys, run_cli, *arguments):
 
 def test_squares_are_learned_by_the_reference_and_estimated_without(tmp_path, capsys, run_cli, squared):
     body, typed = tmp_path / "body.npz", ("--config", squared / "reference.toml")
-    scores, findings = _said(capsys, run_cli, "fit", squared / "explore.mcap", "-o", body, *typed)
+    scores, findings = _printed(capsys, run_cli, "fit", squared / "explore.mcap", "-o", body, *typed)
     assert scores["rmse/held_out_encoders/elbow_joint"] == pytest.approx(0.003, rel=0.1)
     assert any("by the reference they read shoulder_pan_joint" in text and "x^2" in text for text in findings)
     for method, most in (("laplace", 0.006), ("smoother", 0.004), ("predictive-coding", 0.02)):
         typed = (squared / "later.mcap", "--body", body, "-o", tmp_path / "out.mcap", "--method", method)
-        assert _said(capsys, run_cli, "estimate", *typed)[0]["rmse/joint"] < most
-    alone, _ = _said(capsys, run_cli, "estimate", *typed[:-1], "laplace", "--with", "encoders")
+        assert _printed(capsys, run_cli, "estimate", *typed)[0]["rmse/joint"] < most
+    alone, _ = _printed(capsys, run_cli, "estimate", *typed[:-1], "laplace", "--with", "encoders")
     assert alone["rmse/joint"] < 0.006 and 0.5 < alone["nees/joint"] < 1.5
 
 
 def test_without_the_reference_squares_are_taken_for_angles(tmp_path, capsys, run_cli, squared):
     body = tmp_path / "body.npz"
-    _, findings = _said(capsys, run_cli, "fit", squared / "explore.mcap", "-o", body)
+    _, findings = _printed(capsys, run_cli, "fit", squared / "explore.mcap", "-o", body)
     assert not any("reference" in text for text in findings)
-    scores, _ = _said(capsys, run_cli, "estimate", squared / "later.mcap", "--body", body, "-o", tmp_path / "out.mcap")
+    typed = ("--body", body, "-o", tmp_path / "out.mcap")
+    scores, _ = _printed(capsys, run_cli, "estimate", squared / "later.mcap", *typed)
     assert scores["rmse/joint"] > 1.0
 
 

@@ -15,9 +15,10 @@ JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 def _log(path, names=JOINTS, count=200, picture=None):
     """A log of `count` postures and as many pictures, none for None."""
     times = [T0 + index * 20_000_000 for index in range(count)]
-    heard = [(ns, joint_state(ns, names, np.sin(index / 9 + np.arange(len(names))))) for index, ns in enumerate(times)]
+    angles = [np.sin(index / 9 + np.arange(len(names))) for index in range(count)]
+    readings = [(ns, joint_state(ns, names, q)) for ns, q in zip(times, angles, strict=True)]
     seen = [] if picture is None else [camera("/camera", [(ns, compressed(ns, picture)) for ns in times])]
-    return write(path, [*([joints("/joint_states", heard)] if names else []), *seen])
+    return write(path, [*([joints("/joint_states", readings)] if names else []), *seen])
 
 
 @pytest.fixture
@@ -49,8 +50,8 @@ def test_the_line_begins_with_the_log(capsys, run_cli, robot, logs, typed):
     words = [body if word == "body.npz" else logs / word if "." in word else word for word in typed.split()]
     capsys.readouterr()
     assert run_cli(*words) == 65
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and said.startswith("bodylog: " + CASES[typed].format(logs)), said
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and printed.startswith("bodylog: " + CASES[typed].format(logs)), printed
     assert not list(logs.glob("out*"))
 
 

@@ -20,7 +20,7 @@ def _command(*typed):
 
 
 @contextmanager
-def _begun(typed):
+def _started(typed):
     """A command that hears signals, also where these tests run in the background or under nohup, which ignore some.
 
     One that does not end when it should ends with the test, together with all it started.
@@ -39,7 +39,7 @@ def _begun(typed):
                 os.killpg(process.pid, signal.SIGKILL)
 
 
-def _told(process, number, folder):
+def _shown(process, number, folder):
     """What a command says that is told to stop once there is something half-written."""
     while process.poll() is None and not list(folder.rglob(".*.part")):
         time.sleep(0.001)
@@ -48,22 +48,22 @@ def _told(process, number, folder):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_a_command_told_to_stop_leaves_nothing_half_written(tmp_path, robot, number):
+def test_a_stopped_command_leaves_nothing_half_written(tmp_path, robot, number):
     out, typed = tmp_path / "out.mcap", ("estimate", robot / "reach.mcap", "--body", robot / "body.npz")
     out.write_bytes(b"of an earlier run")
-    with _begun(_command(*typed, "-o", out)) as process:
-        said = _told(process, number, tmp_path)
+    with _started(_command(*typed, "-o", out)) as process:
+        printed = _shown(process, number, tmp_path)
     assert process.returncode == 128 + number
     how = "interrupted" if number == signal.SIGINT else "stopped"
-    assert said.strip() == f"bodylog: {how}; nothing half-written was left"
+    assert printed.strip() == f"bodylog: {how}; nothing half-written was left"
     assert list(tmp_path.iterdir()) == [out] and out.read_bytes() == b"of an earlier run"
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_batch_told_to_stop_ends_its_workers_without_a_trace(tmp_path, robot, number):
+def test_a_stopped_batch_ends_its_workers_without_a_trace(tmp_path, robot, number):
     typed = ("batch", robot / "reach.mcap", robot / "explore.mcap", "--body", robot / "body.npz", "--jobs", 2)
-    with _begun(_command(*typed, "-o", tmp_path)) as process:
-        assert "nothing half-written was left" in _told(process, number, tmp_path)
+    with _started(_command(*typed, "-o", tmp_path)) as process:
+        assert "nothing half-written was left" in _shown(process, number, tmp_path)
     assert process.returncode == 128 + number
     assert not list(tmp_path.rglob(".*.part")) and not list(tmp_path.rglob("row.json"))
 
@@ -87,15 +87,15 @@ def test_workers_end_with_who_started_them_and_is_killed(tmp_path, robot, name):
     """Also in the middle of a log."""
     batch = ("batch", robot / "explore.mcap", robot / "reach.mcap", "--body", robot / "body.npz")
     typed = {"batch": batch, "reproduce": ("reproduce", "E2", "--seeds", 2)}[name]
-    with _begun(_command(*typed, "--jobs", 2, "-o", tmp_path / "out")) as process:
+    with _started(_command(*typed, "--jobs", 2, "-o", tmp_path / "out")) as process:
         while process.poll() is None and not (list(tmp_path.rglob(".*.part")) and len(_workers(process)) == 2):
             time.sleep(0.005)
-        workers, begun = _workers(process), time.monotonic()
+        workers, started = _workers(process), time.monotonic()
         process.kill()
         process.wait(timeout=60)
-        while not all(map(_gone, workers)) and time.monotonic() - begun < 10:
+        while not all(map(_gone, workers)) and time.monotonic() - started < 10:
             time.sleep(0.01)
-        assert len(workers) == 2 and all(map(_gone, workers)) and time.monotonic() - begun < 2
+        assert len(workers) == 2 and all(map(_gone, workers)) and time.monotonic() - started < 2
     assert not list(tmp_path.rglob(".*.part")) and not list(tmp_path.rglob("row.json"))
 
 
@@ -115,16 +115,16 @@ bodylog_cli.main()
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_command_that_is_in_a_librarys_c_code_ends_in_time(tmp_path, robot, number):
     words = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap")
-    with _begun([sys.executable, "-c", IN_C, *map(str, words)]) as process:
+    with _started([sys.executable, "-c", IN_C, *map(str, words)]) as process:
         while not list(tmp_path.glob(".*.part")):
             time.sleep(0.005)
         time.sleep(0.2)
-        begun = time.monotonic()
+        started = time.monotonic()
         process.send_signal(number)
-        said = process.communicate(timeout=60)[1]
-        seconds = time.monotonic() - begun
+        printed = process.communicate(timeout=60)[1]
+        seconds = time.monotonic() - started
     how = "interrupted" if number == signal.SIGINT else "stopped"
-    assert (process.returncode, said) == (128 + number, f"bodylog: {how}; nothing half-written was left\n")
+    assert (process.returncode, printed) == (128 + number, f"bodylog: {how}; nothing half-written was left\n")
     assert seconds < 2 and not list(tmp_path.iterdir())
 
 
@@ -147,7 +147,7 @@ COMMANDS = {
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_ends_in_time_whenever_it_is_told_to(tmp_path, robot, name):
+def test_every_command_ends_in_time_whenever_it_is_stopped(tmp_path, robot, name):
     """Once it has begun: in Python's own start a signal does what it does to Python."""
     rng = random.Random(name)
     for k in range(24):
@@ -157,25 +157,25 @@ def test_every_command_ends_in_time_whenever_it_is_told_to(tmp_path, robot, name
         temporary.mkdir()
         words = [str(word).replace("OUT", str(out)) for word in COMMANDS[name]]
         words = [str(robot / word) if (robot / word).is_file() else word for word in words]
-        with _begun(["env", f"TMPDIR={temporary}", *_command(name, *words)]) as process:
+        with _started(["env", f"TMPDIR={temporary}", *_command(name, *words)]) as process:
             time.sleep(rng.uniform(0.1, rng.choice([0.8, 5.0])))
-            begun = time.monotonic()
+            started = time.monotonic()
             process.send_signal(number)
-            said = process.communicate(timeout=60)[1]
-            seconds = time.monotonic() - begun
-        if process.returncode in (0, -number) or said.rstrip().endswith("KeyboardInterrupt"):
+            printed = process.communicate(timeout=60)[1]
+            seconds = time.monotonic() - started
+        if process.returncode in (0, -number) or printed.rstrip().endswith("KeyboardInterrupt"):
             continue  # it was done before, or had not begun
-        ends = [line for line in said.splitlines() if "nothing half-written was left" in line]
-        assert (process.returncode, len(ends)) == (128 + number, 1) and "Traceback" not in said, said
+        ends = [line for line in printed.splitlines() if "nothing half-written was left" in line]
+        assert (process.returncode, len(ends)) == (128 + number, 1) and "Traceback" not in printed, printed
         assert seconds < 2 and not [*out.rglob(".*.part"), *temporary.glob("bodylog-*"), *temporary.rglob("*.part")]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_reproduction_told_to_stop_does_not_wait_for_what_runs(tmp_path, number):
+def test_a_stopped_reproduction_does_not_wait_for_its_runs(tmp_path, number):
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     typed = ("reproduce", "E2", "--seeds", 2, "--jobs", 2)
-    with _begun(_command(*typed, "-o", tmp_path)) as process:
-        assert "nothing half-written was left" in _told(process, number, tmp_path)
+    with _started(_command(*typed, "-o", tmp_path)) as process:
+        assert "nothing half-written was left" in _shown(process, number, tmp_path)
     assert process.returncode == 128 + number
     assert not list(tmp_path.rglob(".*.part")) and not list(tmp_path.rglob("trials/*.json"))
 
@@ -187,7 +187,7 @@ def test_workers_that_are_killed_leave_nothing(tmp_path):
     temporary.mkdir()
     made = _command("reproduce", "E2", "--seeds", 2, "--jobs", 2, "-o", tmp_path / "out")
     typed = ["env", f"TMPDIR={temporary}", *made]
-    with _begun(typed) as process:
+    with _started(typed) as process:
         while process.poll() is None and not list(tmp_path.rglob("work/trials/.*.part")):
             time.sleep(0.001)
         for child in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split():
@@ -210,7 +210,7 @@ FULL = {
 
 
 @pytest.mark.parametrize("name", FULL)
-def test_where_there_is_no_room_is_said_in_one_line_and_nothing_is_left(tmp_path, robot, name):
+def test_a_full_disk_is_one_line_and_nothing_is_left(tmp_path, robot, name):
     words = [tmp_path / word if word.startswith("out.") else word for word in FULL[name]]
     words = [robot / word if (robot / word).is_file() else word for word in words]
 

@@ -24,7 +24,7 @@ def tagged(tmp_path_factory, run_cli) -> Path:
     return folder
 
 
-def test_tags_give_tracks_a_body_and_are_remembered(tagged, run_cli, capsys) -> None:
+def test_tags_give_tracks_and_a_body_that_keeps_their_settings(tagged, run_cli, capsys) -> None:
     config = ("--config", tagged / "robot.toml")
     assert run_cli("extract", tagged / "log.mcap", "-o", tagged / "features.mcap", *config, "--json") == 0
     health = json.loads(capsys.readouterr().out)["results"][0]["health"]
@@ -47,15 +47,15 @@ def test_tags_give_tracks_a_body_and_are_remembered(tagged, run_cli, capsys) -> 
 def test_a_tag_that_is_not_there_is_refused_by_name(tagged, run_cli, capsys) -> None:
     (tagged / "other.toml").write_text(TOML % "elbow = { tag = 11 }")
     code = run_cli("fit", tagged / "log.mcap", "-o", tagged / "none.npz", "--config", tagged / "other.toml")
-    said = capsys.readouterr().err
-    assert code == 65 and "elbow: nothing usable" in said and not (tagged / "none.npz").exists()
+    printed = capsys.readouterr().err
+    assert code == 65 and "elbow: nothing usable" in printed and not (tagged / "none.npz").exists()
 
 
 def test_a_point_in_a_plain_place_is_refused_with_the_log_and_the_key(tagged, run_cli, capsys) -> None:
     (tagged / "point.toml").write_text("[features]\ntip = { point = [1.0, 1.0], at = 1.0 }\n")
     code = run_cli("extract", tagged / "log.mcap", "-o", tagged / "no.mcap", "--config", tagged / "point.toml")
-    said = capsys.readouterr().err
-    assert code == 65 and "log.mcap: features.tip.point is [1.0, 1.0]; possible: 10 to 469" in said
+    printed = capsys.readouterr().err
+    assert code == 65 and "log.mcap: features.tip.point is [1.0, 1.0]; possible: 10 to 469" in printed
     assert not (tagged / "no.mcap").exists()
 
 

@@ -24,7 +24,7 @@ def test_an_error_that_grew_names_score_and_both_values(found):
         check(found, BEFORE, 0.05)
 
 
-def test_a_log_the_baseline_lacks_is_said():
+def test_a_log_the_baseline_lacks_is_an_error():
     with pytest.raises(UsageError, match=r"not in the baseline, which has run\.mcap"):
         check({"new.mcap": ()}, BEFORE, 0.05)
 

@@ -107,9 +107,9 @@ def test_a_linear_body_scores_as_the_textbook_filter_and_smoother(seed, method, 
     asked = Estimation(method=method, senses=senses, precision="model", bias="off")
     (score,) = held_out(estimate(fewer, drawn.body, asked), withheld, drawn.body)
     track, seen = fewer.tracks["effector"], withheld["effector"]
-    heard = track if "vision" in senses else replace(track, values=np.full_like(track.values, np.nan))
+    readings = track if "vision" in senses else replace(track, values=np.full_like(track.values, np.nan))
     noise = drawn.body.noise
-    known = replace(drawn, features=replace(fewer, tracks={"effector": heard}))
+    known = replace(drawn, features=replace(fewer, tracks={"effector": readings}))
     book = dense(known, np.array(noise.process), np.array(noise.encoder), noise.senses["effector"][0])
     mean, cov = (book.smooth, book.smooth_cov) if method == "smoother" else (book.mean, book.cov)
     rows = np.searchsorted(book.t, seen.t)

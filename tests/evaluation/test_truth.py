@@ -43,7 +43,7 @@ def test_arrays_are_dated_by_their_start(tmp_path, key, later):
     np.testing.assert_allclose(found.t, T + later / 1e9, atol=1e-6)
 
 
-def test_columns_without_names_are_told_by_the_readings_they_follow(tmp_path):
+def test_columns_without_names_are_named_by_the_readings_they_follow(tmp_path):
     np.savez(tmp_path / "a.npz", t=T, q=Q)
     assert load(tmp_path / "a.npz", START, READ).names == ("lift", "pan")
     np.savez(tmp_path / "b.npz", t=T, q=Q.mean(axis=1, keepdims=True) + np.array([-0.2, 0.2]))
@@ -68,7 +68,7 @@ def test_what_is_no_truth_is_refused_with_what_is_possible(tmp_path, text, why):
     assert "possible: a .csv with a column t" in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_arrays_of_objects_and_torn_archives_are_refused(tmp_path):
+def test_arrays_of_objects_and_truncated_archives_are_refused(tmp_path):
     np.savez(tmp_path / "a.npz", t=T, q=Q.astype(object))
     (tmp_path / "b.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:200])
     for name in "ab":

@@ -1,0 +1,48 @@
+"""Score names: one unit each, all of them in docs/metrics.md."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from bodylog.score_names import FIGURES, RENAMED, split, unit
+
+ROOT = Path(__file__).parents[2]
+ROWS = dict(re.findall(r"^\| `([^`]+)` \|([^|]*)\|", (ROOT / "docs" / "metrics.md").read_text(), re.MULTILINE))
+
+
+def test_the_page_on_metrics_has_every_figure_with_its_unit() -> None:
+    stated = {split(name.replace("[", "").replace("]", ""))[0]: unit_.strip() for name, unit_ in ROWS.items()}
+    assert stated == dict(FIGURES)
+
+
+def _made() -> list[tuple[str, str, str | None]]:
+    """Every Score(...) in the source: where, its name with PART for what is filled in, its unit if that is written."""
+    found = []
+    for path in (ROOT / "bodylog").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Score":
+                name, of = node.args[0], node.args[2]
+                parts = name.values if isinstance(name, ast.JoinedStr) else [name]
+                text = "".join(str(p.value) if isinstance(p, ast.Constant) else "PART" for p in parts)
+                found.append((f"{path.name}:{node.lineno}", text, of.value if isinstance(of, ast.Constant) else None))
+    return found
+
+
+@pytest.mark.parametrize(("place", "name", "stated"), _made())
+def test_every_score_made_has_a_known_figure_and_its_unit(place: str, name: str, stated: str | None) -> None:
+    pattern = name.replace("PART", ".+")
+    assert any(re.fullmatch(pattern, f"{figure}{part}") for figure in FIGURES for part in ("", "/p", "/p/q")), place
+    if stated is not None and unit(name):
+        assert stated == unit(name), place
+
+
+def test_a_name_splits_at_its_figure_though_parts_hold_slashes() -> None:
+    assert split("rmse/innovation/side/effector") == ("rmse/innovation", "side/effector")
+    assert split("nis/held_out/tip") == ("nis/held_out", "tip") and split("nis/tip") == ("nis", "tip")
+    assert split("rmse/joint") == ("rmse/joint", "") and split("fault/dead/elbow") == ("fault", "dead/elbow")
+
+
+def test_what_was_renamed_leads_to_figures_of_today() -> None:
+    assert set(RENAMED.values()) <= set(FIGURES) and not set(RENAMED) & set(FIGURES)

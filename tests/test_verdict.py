@@ -1,0 +1,100 @@
+"""The verdict: what a person reads first."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.types import Capabilities, Fault, Health, Score
+from bodylog.verdict import of_batch, of_body, of_estimate
+from tests.report.records import JOINTS, estimate
+
+SOUND = estimate(faults=())
+TRUTH = (Score("rmse/joint", 0.0072, "rad"), Score("rmse/encoders", 0.0196, "rad"))
+TRUTH = (*TRUTH, Score("coverage_2sigma/joint", 95.9, "%"))
+
+
+def test_a_sound_log_is_said_to_be_sound_with_its_error() -> None:
+    assert of_estimate(SOUND, TRUTH) == (
+        f"no fault found in {len(JOINTS)} encoders and effector",
+        "error (RMSE) 0.0072 rad, raw encoders 0.0196; 2σ covers 95.9 % of the truth",
+    )
+
+
+def test_without_truth_the_error_bars_stand_for_the_error() -> None:
+    typical = 2.0 * np.sqrt(np.median(np.einsum("nii->ni", SOUND.cov)))
+    assert of_estimate(SOUND, ())[-1] == f"no truth to compare with; typical 2σ error bar ± {typical:.3g} rad"
+
+
+@pytest.mark.parametrize(
+    ("fault", "text"),
+    [
+        (Fault("encoders", JOINTS[0], "drifting", 8.8, 0.302, "rad"), "encoder drifts since 8.8 s, by 0.302 rad"),
+        (Fault("encoders", JOINTS[0], "drifting", 0.2, -0.1, "rad"), "encoder is off from the start, by -0.1 rad"),
+        (Fault("encoders", JOINTS[0], "jumping", 5.0, 0.2, "rad"), "encoder jumps by 0.2 rad at 5.0 s"),
+        (Fault("encoders", JOINTS[0], "frozen", 5.0, 0.0, "rad"), "encoder is frozen since 5.0 s"),
+        (Fault("encoders", JOINTS[0], "dead", 5.0, 0.0, "rad"), "encoder is silent since 5.0 s"),
+        (Fault("encoders", JOINTS[0], "offset", 0.0, 0.1, "rad", 0.01), "encoder is off by 0.1 ± 0.01 rad since 0.0 s"),
+        (Fault("encoders", JOINTS[0], "new kind", 1.0, 2.0, "rad"), "new kind (encoders) since 1.0 s, 2 rad"),
+    ],
+)
+def test_a_fault_is_named_first_and_its_sensor_is_not_called_sound(fault: Fault, text: str) -> None:
+    lines = of_estimate(replace(SOUND, faults=(fault,)), TRUTH)
+    assert lines[0] == f"{fault.name}: {text}"
+    assert lines[1] == f"no fault found in {len(JOINTS) - 1} encoders and effector"
+
+
+def test_a_fault_of_one_of_two_joints_says_that_it_cannot_tell_which() -> None:
+    either = " or ".join(JOINTS[:2])
+    lines = of_estimate(replace(SOUND, faults=(Fault("encoders", either, "drifting", 8.8, float("nan"), "rad"),)), ())
+    assert lines[0] == f"{either}: encoder drifts since 8.8 s (the log cannot tell which)"
+    assert lines[1].startswith(f"no fault found in {len(JOINTS) - 2} encoder")
+
+
+def test_a_moved_or_frozen_camera_takes_its_track_from_the_sound_senses() -> None:
+    moved = Fault("vision", "camera", "displaced", 4.0, 12.0, "px", 1.0)
+    lines = of_estimate(replace(SOUND, faults=(moved,)), ())
+    assert lines[:2] == (
+        "camera: camera moved since 4.0 s, by 12 ± 1 px in the image", f"no fault found in {len(JOINTS)} encoders"
+    )  # fmt: skip
+
+
+def test_a_verdict_stays_short_however_many_faults_there_are() -> None:
+    many = tuple(Fault("encoders", f"j{k}", "frozen", 1.0, 0.0, "rad") for k in range(9))
+    lines = of_estimate(replace(SOUND, faults=many), TRUTH)
+    assert len(lines) == 6 and lines[3] == "6 more faults"
+
+
+def test_delays_are_stated_unless_they_are_tiny() -> None:
+    settings = {**SOUND.settings, "delay": {"camera": 0.062, "side": -0.005, "third": 2e-4}}
+    lines = of_estimate(replace(SOUND, settings=settings), ())
+    assert lines[:2] == ("camera: timestamps are 62 ms late; corrected", "side: timestamps are 5 ms early; corrected")
+    assert not any("third" in line for line in lines)
+
+
+def test_what_was_not_looked_for_is_not_called_sound() -> None:
+    blind = replace(SOUND, used={"encoders": Health(10, 10), "effector": Health(5, 0)})
+    assert of_estimate(blind, ())[0].endswith("encoders; without images, an encoder offset cannot be found")
+    simple = replace(SOUND, method="kalman", can=Capabilities(repairs=False))
+    assert of_estimate(simple, ())[0].endswith("; kalman does not look for encoder offsets")
+
+
+def test_a_body_states_held_out_error_and_offsets_that_are_sure() -> None:
+    scores = (
+        Score("rmse/held_out/tip", 0.39, "px"), Score("nis/held_out/tip", 1.3, "1"),
+        Score("offset/pan", 0.035, "rad"), Score("std/offset/pan", 0.002, "rad"),
+        Score("offset/lift", 0.001, "rad"), Score("std/offset/lift", 0.002, "rad"),
+    )  # fmt: skip
+    assert of_body(("pan", "lift"), scores) == (
+        "learned over 2 joints: pan, lift",
+        "tip: error 0.39 px on held-out parts of the log, 1.30 of the variance expected",
+        "pan: zero is off by +0.035 ± 0.002 rad",
+    )
+
+
+def test_a_batch_counts_how_logs_ended_and_names_the_worst() -> None:
+    rows = [{"status": "passed"}, {"status": "passed"}, {"status": "unusable"}]
+    assert of_batch(rows, {"a": 0.01, "b": 0.03}) == (
+        "3 logs: 2 passed, 1 unusable",
+        "error (RMSE): median 0.02 rad, largest 0.03 rad in b",
+    )
