@@ -1,7 +1,7 @@
 """The stages in order, each taking files and leaving files: reads as a table of contents."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,27 +25,12 @@ from .io.outputs import Output
 from .joints_only import joints_alone, without_body
 from .logs.limits import LIMITS, Input
 from .observed import Progress, moving, still_poses
-from .scoring import against, bounded, score_estimate, with_true_poses
+from .result import Result as Result
+from .result import estimate_result
+from .scoring import against, score_estimate, with_true_poses
 from .settings import Settings, plain
-from .types import Estimate, Fault, Features, Finding, FrameConsumer, Health, Recording, Score
+from .types import Estimate, Features, Finding, FrameConsumer, Health, Recording, Score
 from .written_messages import estimate_messages, feature_messages, provenance, topic_of
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """The result of a command: file written, scores, health per topic, findings, faults, verdict in sentences.
-
-    `figures` are all that a bound may name: scores, faults, delays, shares used.
-    """
-
-    output: Path | None
-    scores: tuple[Score, ...] = ()
-    health: Mapping[str, Health] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    faults: tuple[Fault, ...] = ()
-    figures: tuple[Score, ...] = ()
-    verdict: tuple[str, ...] = ()
 
 
 def record(scenario: str, out: Path, **options: Any) -> Result:
@@ -190,7 +175,7 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
         )
     remarks = (*read.findings, *features.findings, *cameras, *found.findings, *fault_warnings(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
-    return judged(out, found, scores, health, remarks)
+    return estimate_result(out, found, scores, health, remarks)
 
 
 def _estimated(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
@@ -218,14 +203,6 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     return replace(found, settings={**found.settings, READ: "as learned"}, findings=(*found.findings, said))
 
 
-def judged(
-    out: Path, found: Estimate, scores: tuple[Score, ...], health: Mapping[str, Health], findings: Sequence[Finding]
-) -> Result:
-    """An estimate's result with all figures that bounds may name, and its verdict."""
-    figures, text = bounded(found, scores), verdict.of_estimate(found, scores)
-    return Result(out, scores, health, tuple(findings), dict(found.settings), found.faults, figures, text)
-
-
 def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result:
     """Score the estimate an annotated log carries; `truth`: a table, arrays or a log that has the true angles."""
     from .annotating import read_back
@@ -238,7 +215,7 @@ def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result
         read = against(truth, found, read, settings)
     remarks = (*read.findings, *fault_warnings(found.faults), *truth_findings(found, read.truth))
     scores = score_estimate(found, read)
-    return judged(log, found, scores, found.used, remarks)
+    return estimate_result(log, found, scores, found.used, remarks)
 
 
 def ingest(

@@ -20,7 +20,8 @@ from .io.remote import errors_about
 from .io.temporary import scratch
 from .logs.topic_names import PREFIX
 from .observed import Progress
-from .pipeline import Result, doctor, folders, ingest, judged, observe
+from .pipeline import Result, doctor, folders, ingest, observe
+from .result import estimate_result
 from .scoring import score_estimate
 from .settings import Settings, plain
 from .types import Estimate, Features, Finding, Recording
@@ -82,7 +83,8 @@ def report(log: Path, out: Path, settings: Settings, figures: Path | None = None
     page.write(out, found, features, read, score_estimate(found, read), shown, read_back.read_metadata(log))
     if figures is not None:
         _figures(figures, read, features, found, shown)
-    return judged(out, found, score_estimate(found, read), found.used, (*read.findings, *fault_warnings(found.faults)))
+    findings = (*read.findings, *fault_warnings(found.faults))
+    return estimate_result(out, found, score_estimate(found, read), found.used, findings)
 
 
 def layout(log: Path, out: Path, settings: Settings) -> Result:

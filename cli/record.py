@@ -11,8 +11,9 @@ from .options import finite, out_option
 from .setting_options import Choice
 
 _VARIANTS = tuple(dict.fromkeys(variant for variants in choices.VARIANTS.values() for variant in variants))
-_HELP = f"""Simulate a robot (PyBullet, headless, seeded) into an ordinary log with truth.
+_HELP = f"""Simulate a robot into a log with its true angles.
 
+PyBullet simulates it without a screen; the same seed gives the same bytes.
 SCENARIO is one of {", ".join(choices.VARIANTS)}.
 """
 
@@ -53,10 +54,7 @@ SCENARIO is one of {", ".join(choices.VARIANTS)}.
 @click.option("--camera", type=Choice(choices.CAMERAS), default="head", show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 def record(scenario: str, out: Path, size: str, as_json: bool, **options: Any) -> int:
-    """Simulate a robot into a log with its true angles.
-
-    PyBullet simulates it without a screen; the same seed gives the same bytes.
-    """
+    """Simulate a robot into a log with its true angles."""
     from bodylog import pipeline
 
     from .output import progress, show

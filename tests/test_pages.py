@@ -178,19 +178,12 @@ def test_figures_of_the_readme_are_those_of_its_command(run_cli, tmp_path, capsy
     assert run_cli("fit", arm / "explore.mcap", "-o", body) == 0
     capsys.readouterr()
     assert run_cli("compare", arm / "reach.mcap", "--body", body, "--json") == 0
-    rows = {(row["method"], *row["senses"]): row["scores"] for row in _rows(json.loads(capsys.readouterr().out))}
+    rows = json.loads(capsys.readouterr().out)["results"][0]["rows"]
+    values = {(row["method"], *row["senses"]): {k: one["value"] for k, one in row["scores"].items()} for row in rows}
     senses = (("encoders",), ("encoders", "vision"))
     order = [(method, *some) for method in ("laplace", "smoother") for some in senses]
-    errors = [rows[order[0]]["rmse/encoders"], *(rows[key]["rmse/joint"] for key in order)]
-    covered = [rows[key]["coverage_2sigma/joint"] for key in order]
+    errors = [values[order[0]]["rmse/encoders"], *(values[key]["rmse/joint"] for key in order)]
+    covered = [values[key]["coverage_2sigma/joint"] for key in order]
     for name, found in (("error, rad", errors), ("inside 2σ, %", covered)):
         (line,) = re.findall(rf"^\| {name} \|(.*)\|$", PAGES["README.md"], re.MULTILINE)
         assert [float(cell) for cell in re.findall(r"[\d.]+", line)] == pytest.approx(found, rel=0.02)
-
-
-def _rows(found: object) -> list[dict]:
-    """The list of rows in what compare prints as JSON, however deep it lies."""
-    if isinstance(found, list) and found and isinstance(found[0], dict) and "method" in found[0]:
-        return found
-    inner = found.values() if isinstance(found, dict) else found if isinstance(found, list) else ()
-    return next((rows for one in inner if (rows := _rows(one))), [])

@@ -113,14 +113,15 @@ def test_many_logs_evaluated_are_a_table_with_a_row_for_each(tmp_path, capsys, r
 
 
 def test_a_fault_is_printed_once(capsys) -> None:
-    from bodylog.fault_findings import named
+    from bodylog.fault_findings import fault_warnings
     from bodylog.pipeline import Result
     from bodylog.types import Fault
 
     fault = Fault("encoders", "elbow", "drifting", 8.8, 0.3, "rad")
-    output.show(Result(None, findings=named([fault]), faults=(fault,), verdict=("elbow: encoder drifts",)), "x", False)
+    verdict, findings = ("elbow: encoder drifts",), fault_warnings([fault])
+    output.show(Result(None, findings=findings, faults=(fault,), verdict=verdict), "x", False)
     assert capsys.readouterr() == ("elbow: encoder drifts\n", "")
-    output.show(Result(None, findings=named([fault]), faults=(fault,)), "x", False)
+    output.show(Result(None, findings=findings, faults=(fault,)), "x", False)
     assert capsys.readouterr().err.startswith("warning: encoders elbow: drifting")
 
 
