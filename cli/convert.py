@@ -4,15 +4,17 @@ from pathlib import Path
 
 import click
 
+from bodylog import choices
+
 from .options import Common, OutputLog, common_options, finite, logs_argument
-from .setting_options import listed
+from .setting_options import Choice, listed
 
 
 @click.command(epilog="Example: bodylog convert run.bag -o dataset --to lerobot --task 'fold the cloth'")
 @logs_argument
 @click.option("-o", "--output", "out", type=OutputLog(), required=True, help="The MCAP, or the dataset's new folder.")
-@click.option("--to", "form", default="mcap", show_default=True, help="mcap, lerobot (v3.0) or lerobot-2.1.")
-@click.option("--codec", "how", default="lossless", show_default=True, help="Of videos: lossless, h264 or av1.")
+@click.option("--to", "form", type=Choice(choices.FORMATS), default="mcap", show_default=True, help="Format.")
+@click.option("--codec", "how", type=Choice(choices.VIDEO_CODECS), default="lossless", show_default=True)
 @click.option("--task", metavar="TEXT", help="What the robot does, for a dataset.")
 @click.option("--topics", metavar="TOPICS", help="Only these, with commas between; for an MCAP.")
 @click.option("--start", type=float, callback=finite, metavar="S", help="Leave out what came before (s since start).")

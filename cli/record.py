@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from bodylog import simulation_choices as choices
+from bodylog import choices
 
 from .options import finite, out_option
 from .setting_options import Choice

@@ -18,7 +18,7 @@ ROOMS = {
     "logs": BELOW,
     "score_names": BELOW,
     "sources": BELOW,
-    "simulation_choices": set(),
+    "choices": set(),
     "settings": {*BELOW, "logs", "sources"},
     "types": {*BELOW, "body_model", "logs", "settings"},
     "body_model": {*BELOW, "logs"},
@@ -33,7 +33,7 @@ ROOMS = {
     "estimation": {*RECORDS, "kinematics", "linear_algebra"},
     "evaluation": RECORDS,
     "report": RECORDS,
-    "sim": {*RECORDS, "simulation_choices"},
+    "sim": {*RECORDS, "choices"},
 }
 """Which parts of bodylog a room may import; what imports several rooms stands in LAYERS, each above the one before."""
 LAYERS = (

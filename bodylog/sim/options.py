@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from ..choices import CAMERAS, FEATURES, IMAGES
 from ..errors import UsageError
-from ..simulation_choices import CAMERAS, FEATURES, IMAGES
 from .plan import Plan, unknown
 
 SIZES = {"ball": 0.05, "tag": 0.08, "none": 0.0}

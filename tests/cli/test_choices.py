@@ -4,7 +4,9 @@ import click
 import pytest
 from bodylog_cli.commands import bodylog
 
-from bodylog import sim, simulation_choices
+from bodylog import choices, sim
+from bodylog.logs.datasets.encode import CODECS
+from bodylog.recording.lerobot_writer import FORMS
 from bodylog.settings import METHODS
 from bodylog.sim.arms import ARMS
 
@@ -12,6 +14,7 @@ ENUMERATED = {
     "estimate": ("method", "preset", "precision", "bias", "touch", "step"),
     "batch": ("method", "preset", "precision", "bias", "touch", "step"),
     "fit": ("preset",),
+    "convert": ("form", "how"),
     "record": ("scenario", "arm", "variant", "place", "image", "feature", "camera"),
 }
 
@@ -30,12 +33,16 @@ def test_options_with_choices_show_and_complete_them(command):
         assert tuple(options["method"].type.choices) == METHODS
 
 
-def test_simulation_choices_are_those_of_the_simulator():
+def test_record_choices_are_those_of_the_simulator():
     assert {name: one.variants for name, one in sim.SCENARIOS.items() if one.variants != ("",)} == {
-        name: variants for name, variants in simulation_choices.VARIANTS.items() if variants
+        name: variants for name, variants in choices.VARIANTS.items() if variants
     }
-    assert tuple(sim.SCENARIOS) == tuple(simulation_choices.VARIANTS) and tuple(ARMS) == simulation_choices.ARMS
-    assert sim.SCENARIOS["rubber-hand"].places == simulation_choices.PLACES
+    assert tuple(sim.SCENARIOS) == tuple(choices.VARIANTS) and tuple(ARMS) == choices.ARMS
+    assert sim.SCENARIOS["rubber-hand"].places == choices.PLACES
+
+
+def test_format_choices_are_those_of_the_writers():
+    assert ("mcap", *FORMS) == choices.FORMATS and tuple(CODECS) == choices.VIDEO_CODECS
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Names that `bodylog record` takes, for its help and for completion: importing them loads nothing of the simulator."""
+"""Choices of `bodylog record` and `convert`, for help and completion without importing what they name."""
 
 from collections.abc import Mapping
 
@@ -20,3 +20,5 @@ IMAGES = ("jpeg", "raw")
 FEATURES = ("ball", "tag", "none")
 CAMERAS = ("head", "wrist")
 PLACES = ("right", "left", "centre")
+FORMATS = ("mcap", "lerobot", "lerobot-2.1")
+VIDEO_CODECS = ("lossless", "h264", "av1")
