@@ -48,4 +48,4 @@ Batches = Callable[[Collection[int]], Iterator[Batch]]
 
 
 Opener = Callable[[Path, bool, Path, Input], Log]
-"""Log's path, strict, the file to read (unpacked, if it was packed), limits -> the log."""
+"""Log's path, strict, the file to read (decompressed if necessary), limits -> the log."""

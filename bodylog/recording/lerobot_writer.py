@@ -244,7 +244,7 @@ _PANDAS = json.dumps(
         ],
     }
 )  # fmt: skip
-"""Says that the column `task` is the index of the table, as LeRobot's loader needs it."""
+"""Declares the column `task` as the table's index, as LeRobot's loader needs it."""
 
 
 def _listed_v21(done: _Written, meta: Path) -> None:

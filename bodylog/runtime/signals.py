@@ -16,7 +16,7 @@ GRACE_OF_WORKERS = 0.6
 """Seconds for a worker, so that its parent ends in time as well."""
 
 LAST = 0.4
-"""Seconds that removing what is half-written may take after that."""
+"""Further seconds for removing half-written files."""
 
 
 class Stopped(SystemExit):

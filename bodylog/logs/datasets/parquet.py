@@ -15,7 +15,7 @@ MOST_VALUES = 1 << 26
 """The most numbers of one column that are read."""
 _MOST_ROWS = 1 << 24
 _MOST_BYTES = 256 << 20
-"""Bytes that one piece of a column of images may unpack to."""
+"""The most bytes that one piece of a column of images may expand to."""
 
 
 @contextmanager

@@ -13,13 +13,13 @@ from .protobuf import root_of
 from .protobuf_layouts import ProtobufLayout
 
 _MOST_LAYOUTS = 64
-"""Of a topic: with more, its messages have little in common, and to look for that costs more than it saves."""
+"""Layouts per topic: with more, messages share too little for batch decoding to pay."""
 
 _FEW = 4
-"""So many messages are read one by one sooner than together."""
+"""So few messages decode faster one by one."""
 
 _BETWEEN, _WIDEST_GAP = b"\n", 64
-"""What is written over the bytes between payloads that lie close to one another."""
+"""Overwrites up to so many bytes between two payloads."""
 
 Found = Iterator[tuple[Array, list[Any]]]
 """Indices (m,) of messages in a batch and, by path, their values (m,), (m,K) or texts."""

@@ -25,10 +25,10 @@ _LINE = re.compile(
 )
 _LARGEST = 1 << 31
 _LONGEST = 1 << 20
-"""Bytes of a definition; the longest of a common robot's, with all that it needs, has 30 kB."""
+"""Bytes of a definition; the longest complete one of a common robot has 30 kB."""
 _DEEPEST, _MOST_SIZES, _MOST_STRINGS = 4, 300, 300
-"""Of IDL: brackets in one another, sizes and operators, texts. Its parser takes twice as long for each sequence around
-a sequence, and time by the square of the others: some 0.1 s so far. What rosidl writes has a tenth of that."""
+"""Limits of IDL: nested brackets, sizes and operators, texts. Its parser's time doubles with each nested sequence and
+is quadratic in the others: about 0.1 s at these limits. rosidl's output has a tenth of that."""
 _OPENS = frozenset("<([")
 _VERBATIM = re.compile(r'@verbatim\s*\((?:[^()"]|"(?:[^"\\]|\\.)*")*\)')
 _QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"')

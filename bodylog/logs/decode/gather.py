@@ -12,8 +12,7 @@ from .layout import Layout
 
 _BLOCK = 512
 _BYTES = 1 << 20
-"""Of rows compared at a time: so many as a rule, fewer of those so long that copies of their template would fill
-memory."""
+"""Rows to compare at a time, and the most bytes of copies of their template."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,10 +20,10 @@ from .object_places import Item, Place, column, items, text
 
 _TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"(\s*:)?|-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?', re.S)
 _POWER = b"\x01"
-"""Stands for the e of an exponent, and is part of a number; JSON has no such byte."""
+"""Replaces the e of an exponent and counts as a number's character; JSON contains no such byte."""
 
 _SMALL = 0x20
-"""The bit in which a small letter differs from a capital."""
+"""The bit by which a lower-case letter differs from its capital."""
 
 _IN_NUMBERS = b"0123456789+-." + _POWER
 Follow = Callable[..., Iterator[Item]]

@@ -10,7 +10,7 @@ from .columns import definition_of, is_ros1, is_ros1_payload
 from .definitions import PRIMITIVES, TEXTS, Definition, Field
 
 _TROUBLE = (struct.error, ValueError, KeyError, IndexError, AssertionError, TypeError, AttributeError)
-"""What rosbags raises, beside its own error, at a payload that contradicts its definition."""
+"""Exceptions of rosbags, besides its own, for a payload that contradicts its definition."""
 _TIMES = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
 
 Decode = Callable[[bytes], Any]

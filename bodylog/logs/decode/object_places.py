@@ -15,7 +15,7 @@ SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
 _MOST_REST_NS = 1_000_000_000_000_000
 _LONGEST_S = (LATEST_NS + _MOST_REST_NS) // 1_000_000_000
-"""With more seconds than these no such rest makes it a time that a clock shows, with fewer the sum fits 64 bits."""
+"""With more seconds no such rest gives a time in a clock's range; with fewer the sum fits 64 bits."""
 
 
 class Place:

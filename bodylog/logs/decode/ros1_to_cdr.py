@@ -12,7 +12,7 @@ from .bulk_convert import convert_same_layout
 _HEADER = "std_msgs/msg/Header"
 _MD5_OF_NOTHING = "d41d8cd98f00b204e9800998ecf8427e"
 _SMALL_CONSTANT = re.compile(r"^[ \t]*[\w/]+[ \t]+\w*[a-z]\w*[ \t]*=.*\n?", re.MULTILINE)
-"""A constant whose name has small letters: ROS 1 allows it, ROS 2 and rosbags do not; it takes no bytes."""
+"""A constant with lower-case letters: ROS 1 allows it, ROS 2 and rosbags do not; it takes no bytes."""
 
 _TROUBLE = (struct.error, ValueError, KeyError, IndexError, AssertionError, TypeError, AttributeError)
 

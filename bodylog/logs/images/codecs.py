@@ -19,7 +19,7 @@ _PNG, _NEEDED = b"\x89PNG\r\n\x1a\n", (b"IHDR", b"PLTE", b"IDAT")
 _EOI, _TAIL = b"\xff\xd9", 64
 _STDERR = Lock()
 _SILENT = 0
-"""OpenCV's level of a log of nothing."""
+"""OpenCV's log level for no output."""
 """Held while standard error is another file."""
 
 

@@ -12,7 +12,7 @@ from ...errors import LogError
 from ..records import Array, Frame
 
 _DATES = 1e8
-"""s: times above are counted from 1970, those below from a start that the table does not tell."""
+"""s: larger times count from 1970, smaller ones from a start that the table does not give."""
 
 
 @dataclass(frozen=True, eq=False)
