@@ -45,7 +45,7 @@ class Tally:
             "seconds by command": {name: round(self.times[name], 1) for name in sorted(self.times)},
             "worst seconds": slowest and [round(slowest.seconds, 2), *slowest.command[:2]],
             "worst MB": largest and [largest.memory >> 20, *largest.command[:2]],
-            "seconds": round(time.monotonic() - self.begun, 1),
+            "seconds": round(time.monotonic() - self.start, 1),
         }
 
 
