@@ -60,23 +60,23 @@ class Health:
 
 
 class FrameConsumer(Protocol):
-    """Who is told, in a `with`, of each picture of a log's first camera while the log is read."""
+    """Gets each image of a log's first camera, within a `with` block, while the log is read."""
 
     def __call__(self, frame: Frame) -> None:
-        """The next picture in the order of the file; its time is not known yet."""
+        """Take the next image in file order; its time is not known yet."""
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Return the consumer."""
 
     def __exit__(
         self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """There are no more."""
+        """End after the last image."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConsumedFrames:
-    """Frames someone was told of while their log was read: t (n,) s · source_ns (n,) · which of all told they are."""
+    """Frames that a consumer got during reading: t (n,) s · source_ns (n,) · number (n,) of each in file order."""
 
     t: Array
     source_ns: Array
