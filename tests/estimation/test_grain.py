@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
-from bodylog.estimation.noise.quantisation import dithered, grain, repeated
+from bodylog.estimation.noise.quantisation import dithered, shared_variance, step_size
 from bodylog.settings import Estimation
 
 
 def test_the_step_is_found_where_there_is_one():
     rng = np.random.default_rng(0)
     y = np.sin(np.arange(0.0, 10.0, 0.02))
-    assert grain(y) == 0.0 and grain(y + rng.normal(0, 0.01, len(y))) == 0.0 and grain(np.full(20, 0.3)) == 0.0
-    assert grain(np.round(y / 0.01) * 0.01) == pytest.approx(0.01)
-    assert grain(np.round((y + rng.normal(0, 0.004, len(y))) / 0.0015) * 0.0015) == pytest.approx(0.0015)
+    assert (
+        step_size(y) == 0.0 and step_size(y + rng.normal(0, 0.01, len(y))) == 0.0 and step_size(np.full(20, 0.3)) == 0.0
+    )
+    assert step_size(np.round(y / 0.01) * 0.01) == pytest.approx(0.01)
+    assert step_size(np.round((y + rng.normal(0, 0.004, len(y))) / 0.0015) * 0.0015) == pytest.approx(0.0015)
 
 
 def test_dither_is_as_wide_as_the_step_and_the_same_every_time():
@@ -37,8 +39,8 @@ def test_readings_that_repeat_for_long_share_an_error():
 
 def test_slow_readings_that_differ_share_none():
     t = np.arange(0.0, 20.0, 1.0)
-    assert repeated(t, np.sin(t)) == 1.0
-    assert repeated(t, np.repeat(np.sin(t[::2]), 2)) == 2.0
+    assert shared_variance(t, np.sin(t)) == 1.0
+    assert shared_variance(t, np.repeat(np.sin(t[::2]), 2)) == 2.0
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])

@@ -96,7 +96,7 @@ def test_what_there_is_not_is_refused_and_what_a_method_has_not_is_said(world):
     drawn = world(9, duration=2.0)
     joints = "pan, lift, elbow"
     for key, possible in (("sigma_encoders", joints), ("process", joints), ("sigma_vision", "effector")):
-        with pytest.raises(UsageError, match=f"estimate.{key}: 'wrist' is none of {possible}"):
+        with pytest.raises(UsageError, match=f"estimate.{key}: 'wrist' is not one of {possible}"):
             estimate(drawn.features, drawn.body, Estimation(**{key: {"wrist": 1.0}}))
     (text,) = (
         finding.text

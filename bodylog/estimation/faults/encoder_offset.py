@@ -10,7 +10,7 @@ from ..inference.offsets import WALKS
 from ..inference.problem import Problem
 from ..inference.solution import Solution
 from ..measurements.records import Encoders
-from ..noise.quantisation import grain
+from ..noise.quantisation import step_size
 from .offset_score import offset_score
 
 GAIN = 20.0
@@ -123,7 +123,7 @@ def smallest_fault(encoders: Encoders | None) -> Array | float:
     if encoders is None:
         return LEAST
     columns = [column[np.isfinite(column)] for column in encoders.values.T]
-    steps = [grain(y) for y in columns]
+    steps = [step_size(y) for y in columns]
     steps_shown = [step if len(y) and np.ptp(y) else max(steps) for step, y in zip(steps, columns, strict=True)]
     return np.maximum(LEAST, steps_shown)
 

@@ -11,7 +11,7 @@ import numpy as np
 from ...types import Array
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import spans
-from ..noise.quantisation import grain, resolved
+from ..noise.quantisation import resolved, step_size
 from .frozen import repeats
 from .jumping import LEAST
 from .threshold import NATS
@@ -53,7 +53,7 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     noise += np.einsum("pdm,m->pd", np.stack([jac[p].mean(axis=0) for p in parts]) ** 2, _encoder_variance(encoders))
     found = [_explained(sighting, place, noise, middle, k) for k in range(x.shape[1])]
     (gain, left, apart), others = found[joint], [g for k, (g, *_) in enumerate(found) if k != joint]
-    least = max(LEAST, 2.0 * grain(encoders.values[np.isfinite(encoders.values[:, joint]), joint]))
+    least = max(LEAST, 2.0 * step_size(encoders.values[np.isfinite(encoders.values[:, joint]), joint]))
     beside = max(others, default=0.0)
     # better than rest, and better than motion of any other joint
     return gain - len(parts) > NATS and gain - beside > NATS and left < LEFT * gain + len(parts) and apart > least

@@ -1,1 +1,1 @@
-"""One file per `--method`, and what they share."""
+"""Estimation methods, one file per `--method`, and shared parts."""

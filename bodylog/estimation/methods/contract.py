@@ -1,4 +1,4 @@
-"""What a method of estimation is: one function from features to an estimate, and what it can do."""
+"""The record of an estimation method: its function and what it can do."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -16,9 +16,9 @@ VARIANCES = frozenset({"sigma_encoders", "sigma_vision", "sigma_touch", "process
 class Method(NamedTuple):
     """One `--method`: its function, what it can do, the senses it can use, the settings it obeys.
 
-    heeds: settings beside method, senses, rate and start · literal_touch: it can take touch as printed in the paper ·
-    encoder_model: it uses the body's own model of what encoders read, where that is no angle · live: it needs nothing
-    of the whole log, so that it runs beside a robot.
+    heeds: settings beside method, senses, rate and start · literal_touch: accepts touch as printed in the paper ·
+    encoder_model: uses the body's model of encoder readings that are no angles · live: needs no knowledge of the whole
+    log, so that it can run beside a robot.
     """
 
     estimate: Callable[[Features, BodyModel, Estimation], Estimate]

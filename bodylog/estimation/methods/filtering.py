@@ -1,4 +1,4 @@
-"""The filters as methods: pose the log as a problem, solve it, ask whether an encoder lies, write the beliefs down."""
+"""The filter methods: set up the problem, solve it, look for encoder offsets, and return the beliefs."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -33,7 +33,7 @@ S = TypeVar("S", bound=Solution)
 
 
 def laplace(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
-    """Filtered belief: at each output time, all that was heard until then."""
+    """Filtered belief at each output time, given all measurements up to then."""
     return _filtered(features, body, settings, "laplace", "posterior")
 
 
@@ -68,13 +68,13 @@ def _filtered(features: Features, body: BodyModel, settings: Estimation, method:
 def pose(
     features: Features, body: BodyModel, settings: Estimation
 ) -> tuple[Problem, Solution | None, tuple[Fault, ...]]:
-    """The log as a problem with its precisions, a solution to begin from, and the encoders that lie outright."""
+    """The problem with its noise model, a warm start, and the faulty encoders."""
     problem, faults = gathered(features, body, settings)
     return *tuned(problem, settings), faults
 
 
 def gathered(features: Features, body: BodyModel, settings: Estimation) -> tuple[Problem, tuple[Fault, ...]]:
-    """The log as a problem with its encoders' own precisions, and the encoders that lie outright."""
+    """The problem with the encoders' noise model, and the faulty encoders."""
     evidence = warned(screened(features, body, settings), body, settings)
     faults = tuple(fault for fault in evidence.faults if fault.sense == "encoders")
     evidence = replace(evidence, sightings=typed.sightings(evidence.sightings, settings))
@@ -90,14 +90,14 @@ def gathered(features: Features, body: BodyModel, settings: Estimation) -> tuple
 
 
 def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
-    """The problem with motion and pixel noise as the log's evidence has them, where the settings ask for that."""
+    """The problem with process and pixel noise by the log's evidence, if the settings ask for that."""
     if settings.precision != "auto":
         return problem, None
     try:
         found, warm = tune(problem, whole=settings.method == "smoother")
     except DidNotConverge:
         return problem, None
-    # what is typed is not looked for, though what else is found was found beside other values of it
+    # variances that are set replace learned ones afterwards
     return replace(problem, precision=typed.precision(found, settings, problem.evidence.joints)), warm
 
 
@@ -105,9 +105,9 @@ def settled(
     problem: Problem, warm: Solution | None, settings: Estimation,
     solver: Callable[[Problem, Solution | None], S], patient: Callable[[Problem], S],
 ) -> tuple[Problem, S]:  # fmt: skip
-    """The problem solved; with offsets where the settings allow them and the evidence asks for them.
+    """Solve the problem, with encoder offsets if the settings allow them and the evidence asks for them.
 
-    `patient`, slower but sure, takes over where the solver's sweeps do not come to rest.
+    `patient`, slower but robust, takes over if the solver does not converge.
     """
 
     def sure(posed: Problem, begin: Solution | None) -> S:
@@ -127,9 +127,9 @@ def settled(
 
 
 def offset(problem: Problem, solved: Solution) -> Problem | None:
-    """The problem with offsets, None where the log asks for none.
+    """The problem with offsets, or None if the log has none.
 
-    A smoother's process variance lets its way forth lag, which looks like offsets: the likeliest has to see them, too.
+    A smoother's process variance makes its forward pass lag, which looks like offsets, so the filter's is used here.
     """
     suspected, likeliest = encoder_offset.suspected_encoders(problem, solved), problem.precision.likeliest
     if suspected.any() and likeliest is not None:
@@ -149,7 +149,7 @@ def offset(problem: Problem, solved: Solution) -> Problem | None:
 
 
 def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
-    """The problem tuned anew, from the encoders' word on: what was laid to motion was an offset."""
+    """The problem with noise learned again from the encoders: the process noise had absorbed the offset."""
     encoders, precision = problem.evidence.encoders, problem.precision
     if settings.precision != "auto" or encoders is None:
         return problem, None
@@ -159,7 +159,7 @@ def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution |
 
 
 def cost(problem: Problem, warm: Solution | None = None) -> float:
-    """Free energy (nats) of the whole log, filtered from where `warm` ended; infinite where sweeps do not rest."""
+    """Free energy (nats) of the whole log, filtered from where `warm` ended; infinite without convergence."""
     try:
         return encoder_offset.nats(solve(problem, warm, rest=ROUGHLY))
     except DidNotConverge:
@@ -167,13 +167,13 @@ def cost(problem: Problem, warm: Solution | None = None) -> float:
 
 
 def lost(problem: Problem, names: tuple[str, ...], solved: Solution) -> Iterator[Finding]:
-    """Where the belief began anew, as a warning."""
+    """A warning where the belief was reset."""
     resets = solved.readings.reset
     return iter(()) if resets is None else named(names, problem.timeline.t, solved.fold.unfold(resets))
 
 
 def drifts(problem: Problem, names: tuple[str, ...], solved: Solution, known: tuple[Fault, ...]) -> tuple[Fault, ...]:
-    """Encoders that drift, by the filtered offsets, apart from those known to lie otherwise."""
+    """Encoder offsets as faults, from the filtered offsets, without encoders known to be faulty."""
     if problem.precision.drift is None:
         return ()
     m, unfold = len(names), solved.fold.unfold

@@ -1,4 +1,4 @@
-"""The last check of every estimate: a number that is none is an error that names joint, sense and time."""
+"""The last check of every estimate: a number that is not finite is an error with joint, sense and time."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,7 +23,7 @@ def finite(found: Estimate) -> Estimate:
 
 @contextmanager
 def solvable(method: str) -> Iterator[None]:
-    """EvidenceError where numbers break down before there is an estimate."""
+    """EvidenceError if numerical errors prevent an estimate."""
     try:
         yield
     except np.linalg.LinAlgError as problem:
@@ -34,7 +34,7 @@ def solvable(method: str) -> Iterator[None]:
 
 
 def _suspects(found: Estimate) -> Iterator[tuple[str, Array, Array]]:
-    """What there is of numbers, its times (N,) s, and where (N,) it is none."""
+    """Arrays to check, their times (N,) s, and where (N,) they are not finite."""
     t, var = found.joints.t, np.einsum("nii->ni", found.cov)
     for j, name in enumerate(found.joints.names):
         yield f"the angle of {name}", t, ~np.isfinite(found.joints.values[:, j])

@@ -1,4 +1,4 @@
-"""What predictive coding integrates: each sense on one grid of times, with its variance."""
+"""Inputs of predictive coding: each sense on one grid of times, with its variance."""
 
 from dataclasses import dataclass
 
@@ -20,9 +20,9 @@ RATE = 20.0
 PAPER = (1.0, 1.0, 5.0)
 """The paper's σ_x, σ_p (rad²) and σ_v (pixels divided by the image width, squared)."""
 LEARNING = 1.0
-"""The paper's λ, 1/s: how fast the prior follows the belief."""
+"""The paper's λ, 1/s: rate at which the prior follows the belief."""
 GAINS = np.linspace(0.05, 0.95, 19)
-"""Shares of a reading that a static belief may take over."""
+"""Gains tried for a static belief."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,8 @@ class Plan:
 def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple[Plan, Evidence, Timeline]:
     """Senses on the grid with their variances: the paper's by preset, else by `precision`."""
     printed = settings.preset == "paper" or settings.touch == "literal"
-    # descent integrates a pull over time: frames of one touch need not count as one
-    # and lies are named, but heard as printed
+    # descent integrates over time, so frames of one touch may count separately;
+    # faults are reported, but their readings are used as in the paper
     evidence = screened(features, body, settings, whole=False, repairs=False)
     rate = settings.rate or RATE
     line = timeline(evidence, rate)
@@ -93,7 +93,7 @@ def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple
 
 
 def calmest(plan: Plan) -> Array:
-    """The least σ_x (M,) that any finer grid would find; the paper's is the same on all."""
+    """The least σ_x (M,) for any finer grid; the paper's is the same on all."""
     learned = plan.senses and plan.senses[0].name == "encoders" and (plan.sigma_x != PAPER[0]).any()
     least = plan.senses[0].sigma.min(axis=0) * GAINS[0] / (1.0 - GAINS[0]) if learned else plan.sigma_x
     return np.asarray(np.minimum(plan.sigma_x, least))
@@ -107,7 +107,7 @@ def _encoders(evidence: Evidence, body: BodyModel, t: Array, variance: Array, pr
 
 
 def on_grid(t: Array, values: Array, grid: Array) -> tuple[Array, Array]:
-    """Values (N,D) at the grid times, each row of (t, values) heard once, at the nearest; and the rows' indices (N,).
+    """Values (N,D) at the grid times, each row of (t, values) used once, at the nearest; the rows' indices (N,).
 
     A row is moved to its grid time along the line to its neighbour; NaN where no row is nearest.
     """
@@ -130,7 +130,7 @@ def nearest(t: Array, at: Array) -> Array:
 
 
 def image_width(features: Features, body: BodyModel) -> float:
-    """Pixels that count as 1: the image's width if the body remembers it, else the largest coordinate seen."""
+    """Pixels that count as 1: the image's width if the body stores it, else the largest coordinate."""
     if "image_width" in body.provenance:
         return float(body.provenance["image_width"])
     seen = [np.nanmax(np.abs(s.values)) for s in features.tracks.values() if np.isfinite(s.values).any()]
@@ -138,7 +138,7 @@ def image_width(features: Features, body: BodyModel) -> float:
 
 
 def _wander(encoders: list[Sense], noise: Array) -> Array:
-    """σ_x (M,): what a static belief must allow for motion, so that it foretells the next encoder reading best."""
+    """σ_x (M,): motion variance with which a static belief predicts the next encoder reading best."""
     if not encoders or encoders[0].name != "encoders":
         return noise
     gains, s = GAINS[:, None], encoders[0].s

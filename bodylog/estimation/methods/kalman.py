@@ -22,7 +22,7 @@ PROCESS, NOISE = 0.001, 1.0
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """The belief on the paper's grid of 20 Hz, or `rate`; EvidenceError without encoders."""
-    # lies are named, but heard as printed
+    # faults are reported, but their readings are used as in the paper
     evidence = screened(features, body, replace(settings, senses=_encoders(body, settings)), repairs=False)
     assert evidence.encoders is not None
     line = timeline(evidence, settings.rate or RATE)
@@ -50,7 +50,7 @@ METHOD = Method(
 
 
 def _encoders(body: BodyModel, settings: Estimation) -> tuple[str, ...]:
-    """The senses that may be asked for: encoders, by joint or all."""
+    """The encoders allowed by the settings, by joint or all."""
     other = [name for name in settings.senses or () if name not in ("encoders", *body.joints)]
     if other:
         raise UsageError(
@@ -64,15 +64,15 @@ def static(s: Array, x: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Belief and variance (N,M) after, then before each row of s (N,M), NaN where silent, and nats (N,)."""
     var, n = np.full(len(x), NOISE), len(s)
     after, after_var, before, before_var = np.empty((4, n, len(x)))
-    heard = np.isfinite(s)
+    present = np.isfinite(s)
     for k in range(n):
         var = var + PROCESS
         before[k], before_var[k] = x, var
-        gain = heard[k] * var / (var + NOISE)
-        x = x + gain * np.where(heard[k], s[k] - x, 0.0)
+        gain = present[k] * var / (var + NOISE)
+        x = x + gain * np.where(present[k], s[k] - x, 0.0)
         var = (1.0 - gain) * var
         after[k], after_var[k] = x, var
     total = before_var + NOISE
-    nu = np.where(heard, s - before, 0.0)
-    nats = np.where(heard, 0.5 * (np.log(2 * np.pi * total) + nu**2 / total), 0.0).sum(axis=1)
+    nu = np.where(present, s - before, 0.0)
+    nats = np.where(present, 0.5 * (np.log(2 * np.pi * total) + nu**2 / total), 0.0).sum(axis=1)
     return after, after_var, before, before_var, nats

@@ -1,4 +1,4 @@
-"""Touch as printed in the paper: g_t = f_s f_t enters the prediction errors itself, not its logarithm."""
+"""Touch as printed in the paper: g_t = f_s f_t itself enters the prediction errors, not its logarithm."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from ...types import Array, Features
 from ..measurements.touch import weights
 
 VARIANCE = 1.0
-"""σ_t, of which the paper says nothing."""
+"""σ_t, which the paper does not state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Literal:
 
 
 def literal(features: Features, body: BodyModel, t: Array, dt: float) -> Literal | None:
-    """Touch on the grid t (N,) s; None without a hand or an effector to compare it with."""
+    """Touch on the grid t (N,) s; None without a hand or an effector track."""
     hand, model = features.hand, body.senses.get("effector")
     if hand is None or model is None or len(hand.t) == 0:
         return None

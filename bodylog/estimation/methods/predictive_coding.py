@@ -1,6 +1,6 @@
-"""The paper's Algorithm 1, its errata (docs/paper.md) mended: descent on free energy, one Euler step per instant.
+"""The paper's Algorithm 1 with its errata (docs/paper.md) corrected: free-energy descent, one Euler step per instant.
 
-The explicit step integrates belief, errors and prior as printed; the linearly implicit one puts the errors at their
+The explicit step integrates belief, errors and prior as printed; the linearly implicit one sets the errors to their
 equilibrium and divides by I + Δt·H, H the Gauss–Newton Hessian, which is stable at any Δt.
 """
 
@@ -22,7 +22,7 @@ from .results import Beliefs
 __all__ = ["Plan", "Sense", "descent", "estimate", "explicitly", "implicitly", "plan_for", "stable_step"]
 
 POSTURES, MARGIN = 16, 0.8
-"""Postures of the log in which stability is looked at, and the share of the largest stable Δt that is named."""
+"""Postures of the log at which stability is checked, and the share of the largest stable Δt that is recommended."""
 FAR = 100.0
 """rad: a belief beyond this has diverged."""
 
@@ -36,7 +36,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     if not np.isfinite(x).all():
         why = findings[0].text if findings else "step: explicit; type --step implicit"
         raise UsageError(f"{why} (the belief left {FAR:g} rad)")
-    findings = (*findings, *_unheard(plan, evidence, body.joints))
+    findings = (*findings, *_without_encoders(plan, evidence, body.joints))
     beliefs = _beliefs(plan, evidence, line, x, cov, nats, findings, explicit)
     return results.estimate("predictive-coding", body, evidence, line, beliefs)
 
@@ -109,7 +109,7 @@ def explicitly(plan: Plan) -> tuple[Array, Array, Array]:
 
 
 def step_warning(plan: Plan) -> tuple[Finding, ...]:
-    """A finding when Δt exceeds what keeps Algorithm 1 stable, naming the slowest rate at which it is."""
+    """A finding if Δt exceeds the stable step of Algorithm 1, with the slowest stable rate."""
     if plan.dt <= _stable_everywhere(plan):
         return ()
     # σ_x is smaller on a finer grid, and the arm passes between the postures looked at
@@ -119,15 +119,15 @@ def step_warning(plan: Plan) -> tuple[Finding, ...]:
 
 
 def _rounded_up(rate: float) -> float:
-    """With two digits."""
+    """Rounded up to two digits."""
     unit = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
     return float(np.ceil(rate / unit) * unit)
 
 
-def _unheard(plan: Plan, evidence: Evidence, names: tuple[str, ...]) -> tuple[Finding, ...]:
-    """A finding for joints no encoder speaks of: σ_x, which allows for motion, is learned by encoders."""
-    said = np.empty((0, len(names))) if evidence.encoders is None else evidence.encoders.values
-    still = ", ".join(name for name, column in zip(names, said.T, strict=True) if not np.isfinite(column).any())
+def _without_encoders(plan: Plan, evidence: Evidence, names: tuple[str, ...]) -> tuple[Finding, ...]:
+    """A finding for joints without encoder readings, because σ_x is learned from encoders."""
+    readings = np.empty((0, len(names))) if evidence.encoders is None else evidence.encoders.values
+    still = ", ".join(name for name, column in zip(names, readings.T, strict=True) if not np.isfinite(column).any())
     if not still or all(sense.printed for sense in plan.senses):
         return ()
     text = f"knows no motion of {still} without encoders: errors are far beyond its error bars; type --method laplace"
@@ -135,11 +135,11 @@ def _unheard(plan: Plan, evidence: Evidence, names: tuple[str, ...]) -> tuple[Fi
 
 
 def _stable_everywhere(plan: Plan) -> float:
-    """The least of the stable steps (s) in postures the log's encoders go through."""
+    """The least stable step (s) over postures of the log's encoders."""
     postures = [plan.start]
     if plan.senses and plan.senses[0].name == "encoders" and plan.senses[0].model is None:
-        said = plan.senses[0].s[np.isfinite(plan.senses[0].s).all(axis=1)]
-        postures += list(said[np.linspace(0, len(said) - 1, min(POSTURES, len(said))).astype(int)])
+        readings = plan.senses[0].s[np.isfinite(plan.senses[0].s).all(axis=1)]
+        postures += list(readings[np.linspace(0, len(readings) - 1, min(POSTURES, len(readings))).astype(int)])
     return min(stable_step(replace(plan, start=x)) for x in postures)
 
 
@@ -166,7 +166,7 @@ def _beliefs(
     plan: Plan, evidence: Evidence, line: Timeline, x: Array, cov: Array, nats: Array,
     findings: tuple[Finding, ...], explicit: bool,
 ) -> Beliefs:  # fmt: skip
-    """Beliefs on the grid held until the next, at every instant of the timeline."""
+    """Beliefs on the grid, held until the next, at every instant of the timeline."""
     rate = np.diff(x, axis=0, prepend=x[:1]) / plan.dt
     held = np.maximum(np.searchsorted(plan.t, line.t, "right") - 1, 0)
     before = np.maximum(np.searchsorted(plan.t, line.t, "left") - 1, 0)
@@ -188,16 +188,16 @@ def _beliefs(
 
 
 def _moved(plan: Plan, x: Array, cov: Array) -> Array:
-    """Covariance (N,M,M) of beliefs x (N,M) by the next reading: an arm that is held still has moved since.
+    """Covariance (N,M,M) of beliefs x (N,M) by the next reading, in which the arm has moved.
 
-    By as much as encoders, which alone would be followed with σ_x, differ from that on average beyond their noise.
+    It grows by the encoders' mean squared deviation from the static belief, beyond their noise.
     """
     var, sense = np.einsum("nii->ni", cov), plan.senses[0] if plan.senses else None
     if sense is not None and sense.name == "encoders" and sense.model is None:
-        heard, held, square = np.isfinite(sense.s), plan.start, np.zeros(x.shape[1])
-        for said, noise, here in zip(sense.s, sense.sigma, heard, strict=True):
-            off = np.where(here, said - held, 0.0)
+        present, held, square = np.isfinite(sense.s), plan.start, np.zeros(x.shape[1])
+        for readings, noise, here in zip(sense.s, sense.sigma, present, strict=True):
+            off = np.where(here, readings - held, 0.0)
             square += off * off - here * noise
             held = held + plan.sigma_x / (plan.sigma_x + noise) * off
-        var = np.maximum(var, square / np.maximum(heard.sum(axis=0), 1))
+        var = np.maximum(var, square / np.maximum(present.sum(axis=0), 1))
     return np.asarray(var[:, :, None] * np.eye(x.shape[1]))

@@ -14,7 +14,7 @@ from ..measurements.timeline import Timeline
 
 @dataclass(frozen=True, eq=False)
 class Beliefs:
-    """At every instant: z (E,K) · cov (E,M,M) · nats (E,); before hearing it: x (E,M), cov, encoder errors (E,M)."""
+    """At every instant: z (E,K) · cov (E,M,M) · nats (E,); before the instant: x (E,M), cov, encoder errors (E,M)."""
 
     z: Array
     cov: Array
@@ -54,7 +54,7 @@ def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, b
 
 
 def weighed(hypotheses: tuple[Hypothesis, ...]) -> dict[str, Any]:
-    """Settings that list what was weighed, each with the nats it won, its threshold, and whether it was chosen."""
+    """Settings with the list of hypotheses, each with its nats, threshold, and whether it was chosen."""
     return {"hypotheses": [asdict(one) for one in hypotheses]} if hypotheses else {}
 
 
@@ -74,6 +74,6 @@ def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, 
 
 
 def per_output(nats: Array, outputs: Array) -> Array:
-    """Free energy (O,) nats of all that was heard since the previous output."""
+    """Free energy (O,) nats of all measurements since the previous output."""
     total = np.cumsum(nats)[outputs]
     return np.diff(total, prepend=0.0)

@@ -1,7 +1,7 @@
-"""The full-interval posterior: Gauss–Newton over the whole log, each round one filter forth and one adjoint back.
+"""The full-interval posterior: Gauss–Newton over the whole log; each round is a forward filter and an adjoint pass.
 
-Linearising all frames at the smoothed angles until they rest gives the maximum a posteriori path. The way back is the
-Bryson–Frazier form, which needs the filter's gains but no inverse.
+Linearising all frames at the smoothed angles until convergence gives the maximum a posteriori path. The backward pass
+has the Bryson–Frazier form, which needs the filter's gains but no inverse.
 """
 
 from contextlib import suppress
@@ -31,20 +31,20 @@ from .filtering import drifts, gathered, lost, settled, tuned
 from .results import Beliefs
 
 FORTH = 1
-"""Sweeps that only go forth, until the stretches start nearly where they should."""
+"""Initial sweeps without a backward pass."""
 
 
 TURNS = 2
-"""Ways back at most for one way forth, of which they cost a quarter."""
+"""Most backward passes per forward pass, of which they cost a quarter."""
 STILL = 1e-7
-"""rad: a frame whose point on the path moves less keeps its tangent."""
+"""rad: a frame whose linearisation point moves less keeps its tangent."""
 LASTING = 1e-6
-"""Standard deviations: how little a stretch's start and end may still move."""
+"""Standard deviations: tolerance on a stretch's start and end."""
 
 
 @dataclass(frozen=True, eq=False)
 class Path(Solution):
-    """The last way forth, with the smoothed state z (L,K,C) and what the future says, `after` (L,K,C) each instant."""
+    """The last forward pass, with the smoothed state z (L,K,C) and the adjoints `after` (L,K,C) each instant."""
 
     z: Array
     after: Array
@@ -58,7 +58,7 @@ class Smooth(Path):
 
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
-    """Smoothed belief: at each output time, all that the whole log says about it."""
+    """Smoothed belief at each output time, given the whole log."""
     problem, faults = gathered(features, body, settings)
     if whole_log.possible(problem, settings):
         with suppress(DidNotConverge, np.linalg.LinAlgError):
@@ -80,7 +80,7 @@ METHOD = Method(estimate, Capabilities(causal=False))
 
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
-    """The maximum a posteriori path, first in brief, then in full; DidNotConverge when the rounds do not settle."""
+    """The maximum a posteriori path, first at the knots, then at all instants; or DidNotConverge."""
     knots, tangents, z, p = initial_sweep(problem, warm)
     tangents.resting, tangents.share = STILL, WHOLE
     forth = FORTH if warm is None else 0
@@ -90,7 +90,7 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     z, p = starts(problem, fold, first, lasts)
     ends = np.zeros_like(z)
     ends[:, :-1] = knots.fold.pick(first.after, lasts).T
-    # what brief stretches leave of moves is no news to the full ones
+    # a looser tolerance, so that residues of the knots' solution do not trigger full rounds
     path = _rounds(problem, fold, full(problem, fold), tangents, z, p, ends, 2.0 * LASTING)
     return Smooth(
         fold, path.readings, tangents, path.trace, path.z, path.after, adjoint.covariances(path.readings, path.trace),
@@ -102,7 +102,7 @@ def _rounds(
     problem: Problem, fold: Fold, readings: Readings, tangents: Tangents, z: Array, p: Array, ends: Array,
     lasting: float, forth: int = 0,
 ) -> Path:  # fmt: skip
-    """Rounds from starts z (K,C), p (K,K,C) and ends (K,C) until all rests; `forth` sweeps only go forth."""
+    """Rounds from starts z (K,C), p (K,K,C) and ends (K,C) until convergence; the first `forth` only filter."""
     tangents.write(problem, fold, readings)
     trace, back, progress, moving, rest = None, None, Progress(), np.ones(fold.count, bool), np.inf
     for sweep in range(SWEEPS):
@@ -125,7 +125,7 @@ def _rounds(
 def _back(
     readings: Readings, trace: Trace, ends: Array, p: Array, rest: float
 ) -> tuple[tuple[Array, Array], Array, float]:
-    """Smoothed state and adjoints (L,K,C), ends (K,C), gone back again while they move more than starts; the move."""
+    """Smoothed state and adjoints (L,K,C), ends (K,C), iterated while ends move more than starts; their last move."""
     for _ in range(TURNS):
         after, at_start = adjoint.adjoints(readings, trace, ends)
         pulled, ends = _pulled(adjoint.before(at_start) - ends, p), adjoint.before(at_start)
@@ -135,7 +135,7 @@ def _back(
 
 
 def once(problem: Problem) -> Smooth:
-    """The path smoothed one time along the filter's own tangents: what is left where rounds do not come to rest."""
+    """Smooth once along the filter's own tangents, as a fallback without convergence."""
     solution, k = walk(problem, remember=True), problem.dynamics.size
     after, _ = adjoint.adjoints(solution.readings, solution.trace, np.zeros((k, 1)))
     smooth = adjoint.means(solution.trace, after)
@@ -144,5 +144,5 @@ def once(problem: Problem) -> Smooth:
 
 
 def _pulled(adjoint_moved: Array, p: Array) -> float:
-    """The most the future's word (K,C) moved any stretch's end, in standard deviations; p (K,K,C) sets the scale."""
+    """The largest effect of moved adjoints (K,C) on a stretch's end, in standard deviations; p (K,K,C)."""
     return float(np.abs(adjoint_moved * np.sqrt(np.maximum(np.einsum("iic->ic", p), 0.0))).max())

@@ -1,4 +1,4 @@
-"""Which methods there are, one line each."""
+"""The table of methods, one line each."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""The filter and the smoother of a log whose encoders never fall silent: one banded solve, noise and offsets by it."""
+"""Filter and smoother of a log whose encoders are never silent: one banded solve, noise and offsets by evidence."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -23,14 +23,15 @@ from . import results
 from .results import Beliefs
 
 IMAGED = 0.7
-"""White jerk beside images over what encoders alone show of it, which take it over longer times: evidence of all senses
-is greatest at 0.5 to 0.6 in simulated reaches and at 0.6 to 0.7 in simulated babble.
+"""Factor on the white jerk learned from encoders alone, for logs with images.
+
+The evidence of all senses is greatest at 0.5 to 0.6 in simulated reaches and at 0.6 to 0.7 in simulated babble.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What the log was solved as: offsets and the solution, the motion, nats of the orders tried, factors of pixels."""
+    """Offsets with the solution, the motion, nats of the orders tried, variance factors of tracks."""
 
     found: Offsets
     motion: Learned
@@ -39,11 +40,11 @@ class Answer:
 
 
 def possible(problem: Problem, settings: Estimation) -> bool:
-    """Whether all encoders speak throughout, so that no posture has to be found again; and noise is the log's own."""
+    """Whether encoders are never silent, so that no re-acquisition is needed, and noise is learned from the log."""
     led = (
         problem.path is not None or problem.resets is not None or problem.stepwise or problem.posture_prior is not None
     )
-    # typed variances are the sweeps' so far, and so are images: beside them error bars are up to a tenth too wide
+    # set variances and images still need the sweeps: with images, error bars here are up to a tenth too wide
     other = bool(settings.typed) or bool(problem.evidence.sightings)
     return settings.precision == "auto" and problem.precision.white is not None and not led and not other
 
@@ -51,7 +52,7 @@ def possible(problem: Problem, settings: Estimation) -> bool:
 def estimate(
     method: str, body: BodyModel, problem: Problem, settings: Estimation, faults: tuple[Fault, ...]
 ) -> Estimate:
-    """The belief of a filter, or with all of the log of a smoother; DidNotConverge where it cannot be had so."""
+    """The filtered or smoothed belief; DidNotConverge if the solver does not converge."""
     smooth = method == "smoother"
     answer = solved(body, problem, settings, smooth)
     at = (given_all if smooth else given_past)(answer.found.solved)
@@ -68,7 +69,7 @@ def estimate(
 
 
 def solved(body: BodyModel, problem: Problem, settings: Estimation, smooth: bool) -> Answer:
-    """The log with noise, the motion's order and offsets by its evidence."""
+    """Solve the log, with noise, the motion's order and offsets by its evidence."""
     explored = np.array(body.noise.encoder, float)
     assert problem.precision.white is not None
     noise = own_noise(problem.evidence, problem.precision.white, explored)
@@ -86,7 +87,7 @@ def solved(body: BodyModel, problem: Problem, settings: Estimation, smooth: bool
 def _ordered(
     problem: Problem, noise: OwnNoise, first: Learned, explored: Array, walk: Array, smooth: bool
 ) -> tuple[Solved, Learned, dict[int, float]]:
-    """The log solved for the order of motion that evidence prefers, that and the orders' nats."""
+    """The log solved for the order of motion with the greater evidence, that motion, and the orders' nats."""
     solution = _solution(problem, noise, first, explored, walk, smooth)
     if noise.jerk is None:
         return solution, first, {}
@@ -110,7 +111,7 @@ def _assumed(noise: OwnNoise, motion: Learned, explored: Array, walk: Array) -> 
 
 
 def _states(at: Instants, walk: Array | None) -> Array:
-    """Angles, rates and, where there are any, offsets (E,·)."""
+    """Angles, rates and, if there are any, offsets (E,·)."""
     parts = [at.states[:, :, 0], at.states[:, :, 1]]
     return np.concatenate(parts if walk is None else [*parts, np.where(walk > 0.0, at.states[:, :, -1], 0.0)], axis=1)
 
@@ -120,7 +121,7 @@ def _named(alternatives: Mapping[int, tuple[int, ...]]) -> dict[int, tuple[int, 
 
 
 def _plain(answer: Answer, body: BodyModel, white: NoiseModel) -> dict[str, Any]:
-    """As plain numbers, to be written beside the estimate: nats are for a hypothesis, live is for a live filter."""
+    """Plain numbers for the estimate's settings: `nats` for hypotheses, `live` for a live filter."""
     drift = answer.found.walk.tolist() if answer.found.walk.any() else None
     won = {f"offset/{name}": float(gain) for name, gain in zip(body.joints, answer.found.won, strict=True)}
     if len(answer.orders) > 1:

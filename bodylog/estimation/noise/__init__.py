@@ -1,1 +1,1 @@
-"""How noisy each sense is and how the joints move: learned from the log, the body's, or the paper's."""
+"""Noise of each sense and process noise of the joints: learned from the log, the body's, or the paper's."""

@@ -1,10 +1,10 @@
-"""What neighbouring frames err in common, and how much less they say for it.
+"""Common errors of neighbouring frames, and how much less these count for it.
 
-The model's error goes with the posture, perception's with where among the pixels a thing lies: frames from nearly the
-same place err alike, and a belief is to be no surer than that common error E (px²). Where joints move with white
-acceleration, q (px²/s³) as pictures see it, a filter that hears noise of density R (px² s) comes to the variance
-√2 R^¾ q^¼, a smoother to R^¾ q^¼ / 2√2. That is E when alike frames within (E/4q)^⅓ s, or 4(E/q)^⅓ s, count as one,
-and a share s of it is E when that is s^(−4/3) times as long.
+The model's error depends on the posture, and perception's on the place within a pixel. Frames from nearly the same
+place share an error E (px²), and a belief must not be surer than that. Let joints move with white acceleration of
+density q (px²/s³) in the image. With noise of density R (px² s) a filter has the variance √2 R^¾ q^¼, a smoother
+R^¾ q^¼ / 2√2. This equals E if correlated frames within (E/4q)^⅓ s, or 4(E/q)^⅓ s, count as one; for a share s of the
+variance to equal E, the span is s^(−4/3) times as long.
 """
 
 import math
@@ -18,23 +18,23 @@ from ...body_model import ForwardModel
 from ...types import Array
 
 NEAR = 0.5
-"""px: places closer than this share perception's error, which has the period of the pixels."""
+"""px: correlation length of perception's error, which has the period of the pixels."""
 PAST, WHOLE = 4.0, 1.0 / 64.0
-"""Share of q in the span within which frames count as one: of a belief by the past alone, or by the whole log."""
+"""Share of q in the span within which frames count as one, for a filter and for a smoother."""
 LASTING = {PAST: -5.0 / 8.0, WHOLE: 1.0 / 2.0}
-"""What more a lasting error counts than one that every frame has anew, on average from one frame to the next.
+"""Weight of a lasting error beyond that of an independent one, on average over the time between frames.
 
-Extrapolated from two frames, (1 + x) e₁ − x e₀, it is what it was, and new ones come to 8/3 of their variance;
-interpolated, (1 − x) e₀ + x e₁, to 2/3.
+Extrapolated from two frames, (1 + x) e₁ − x e₀, a lasting error keeps its variance, and independent ones get 8/3 of
+theirs; interpolated, (1 − x) e₀ + x e₁, 2/3.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorCorrelation:
-    """When frames of a track err alike: postures within reach (M,) rad, places within `near` px, 0 where never.
+    """When a track's errors correlate: postures within reach (M,) rad, places within `near` px, 0 for never.
 
-    process (M,) rad²/s³: the joints' white acceleration · share: PAST or WHOLE · stated () or (M,): what share of the
-    variance a belief comes to is stated, which is to be the common error.
+    process (M,) rad²/s³: the joints' white acceleration · share: PAST or WHOLE · stated () or (M,): stated share of the
+    variance, which must not fall below the common error.
     """
 
     process: Array
@@ -45,21 +45,21 @@ class ErrorCorrelation:
 
     @cached_property
     def wander(self) -> Array:
-        """The joints' white acceleration that counts (M,), rad²/s³."""
+        """White acceleration (M,) rad²/s³ times share and stated⁴."""
         return np.asarray(self.stated**4 * self.share * self.process)
 
     def postures(self, step: Array) -> Array:
-        """How alike (…,) the model errs, joints being a step (…,M) rad apart."""
+        """Correlation (…,) of the model's errors for a step (…,M) rad of the joints."""
         return np.asarray(np.exp(-0.5 * np.square(step / self.reach).sum(axis=-1)))
 
     def spots(self, step: Array) -> Array:
-        """How alike (…,) perception errs, places being a step (…,D) px apart."""
+        """Correlation (…,) of perception's errors for a step (…,D) px."""
         return np.asarray((self.near > 0) * np.exp(-np.sqrt(np.square(step).sum(axis=-1)) / (self.near or 1.0)))
 
     def fade(self, dt: Array, lasting: Array, jac: Array) -> Array:
-        """Share κ (F,) of frames dt (F,) s ago that still counts, of variance `lasting` (F,D) px² in common.
+        """Share κ (F,) of frames dt (F,) s before that still counts, for common variances `lasting` (F,D) px².
 
-        (1 + κ) / (1 − κ) is span/dt, dt much shorter.
+        (1 + κ) / (1 − κ) is span/dt for much shorter dt.
         """
         error = np.einsum("fd->f", lasting)
         drift = np.einsum("fdm,m->f", np.square(jac), self.wander)
@@ -67,12 +67,12 @@ class ErrorCorrelation:
         return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
 
     def times(self, count: Array, like: Array) -> Array:
-        """How many times its variance a frame has that amounts to `count`, the last having erred alike by `like`."""
+        """Factor on the variance of a frame that counts as one of `count`; `like`: correlation with the last."""
         return np.asarray(2.0 * count - 1.0 + LASTING[self.share] * like / count)
 
 
 def reach(model: ForwardModel) -> Array:
-    """Angles (M,) or () rad that are to part before the model errs otherwise; where it does not say, it never does."""
+    """Correlation length (M,) or () rad of the model's errors; infinite if the model has none."""
     return np.asarray(getattr(model, "reach", np.inf))
 
 
@@ -80,9 +80,9 @@ def variances(
     like: ErrorCorrelation, t: Array, places: Array, points: Array, jac: Array, pixel: Array, model: Array,
     often: float = 1.0,
 ) -> Array:  # fmt: skip
-    """Variances (F,D) px² of frames seen at t (F,) s, such that alike ones together say no more than they know.
+    """Variances (F,D) px² of frames at t (F,) s, inflated such that correlated frames do not count too much.
 
-    places (F,D) px · points (F,M) rad and jac (F,D,M) there · pixel and model variance (F,D), this to count so `often`.
+    places (F,D) px · points (F,M) rad and jac (F,D,M) there · pixel and model variance (F,D) · often: factor on it.
     """
     if not len(t):
         return pixel + model
@@ -94,11 +94,10 @@ def variances(
 
 
 def repeated(frames: Sequence[int], common: Sequence[float], distinct: float) -> tuple[float, ...]:
-    """How many times its model's variance E each track counts with, of what share in common with other tracks' models.
+    """Factor on each track's model variance, for the share of it in common with other tracks' models.
 
-    frames: how many each was seen in · told: directions of joints that their rows tell apart, in which the error lies:
-    rows that are taken to err each by itself say as many times what they know as there are more of them.
-    Rows that tell no direction apart (told 0) count once.
+    frames: number of each track's frames · distinct: directions of joints that their rows determine. Rows with a common
+    error count as often as there are more of them than directions. Without a direction (0) they count once.
     """
     rows = 2.0 * sum(count for count, share in zip(frames, common, strict=True) if share > 0)
     return tuple(
@@ -108,15 +107,15 @@ def repeated(frames: Sequence[int], common: Sequence[float], distinct: float) ->
 
 
 def directions(models: Sequence[ForwardModel], x: Array) -> int:
-    """How many directions of joints all rows of the models' Jacobians span at x (M,)."""
+    """Rank of the stacked Jacobians of all models at x (M,)."""
     return int(np.linalg.matrix_rank(np.concatenate([model.predict(x[None])[1][0] for model in models])))
 
 
 def counts(kept: Array) -> Array:
-    """How many frames (F,) up to each count as one, n[k] = 1 + kept[k] n[k−1], of the shares kept (F−1,).
+    """Number of frames (F,) up to each that count as one, n[k] = 1 + kept[k] n[k−1], for shares kept (F−1,).
 
-    At a steady pace n is 1 / (1 − kept), and a mean over many frames, whose errors correlate by that from one to the
-    next, has the variance of as many independent ones with (1 + kept) / (1 − kept) = 2n − 1 times their variance.
+    At a steady rate n is 1 / (1 − kept). A mean over many frames with correlation kept from one to the next has the
+    variance of independent ones with (1 + kept) / (1 − kept) = 2n − 1 times their variance.
     """
     count, kept, reach = np.ones(len(kept) + 1), np.append(0.0, kept), 1
     # by doubling: after each round the sums reach twice as far back
@@ -129,7 +128,7 @@ def counts(kept: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class LastFrame:
-    """When (s), where (D,) px and from which angles (M,) a track was last seen; how many of these count (2,)."""
+    """Last frame of a track: time (s), place (D,) px, angles (M,); its counts (2,)."""
 
     t: float = -np.inf
     place: Array | None = None
@@ -139,9 +138,9 @@ class LastFrame:
 
 @dataclass(frozen=True, eq=False)
 class PendingFrame:
-    """One track seen at an instant t (s): model, value (D,), its variance (D,), what errs alike, memory.
+    """One frame of a track at t (s): model, value (D,), its variance (D,), error correlation, last frame.
 
-    cov (D,D): where the rows err together, with `var` its diagonal; None where each errs by itself.
+    cov (D,D): covariance of correlated rows, with `var` its diagonal; None for independent rows.
     """
 
     model: ForwardModel
@@ -153,7 +152,7 @@ class PendingFrame:
     cov: Array | None = None
 
     def predicted(self, x: Array) -> tuple[Array, Array, Array]:
-        """At angles x (M,): mean (D,), Jacobian (D,M) and the model's variance (D,)."""
+        """Mean (D,), Jacobian (D,M) and model variance (D,) at angles x (M,)."""
         one = getattr(self.model, "predict_one", None)
         if one is not None:
             return one(x)  # type: ignore[no-any-return]
@@ -161,9 +160,9 @@ class PendingFrame:
         return mean[0], jac[0], model[0]
 
     def at(self, x: Array) -> tuple[Array, Array, Array, Array, LastFrame]:
-        """At angles x (M,): mean (D,), Jacobian (D,M), model variance (D,), the whole as `variances` has it, memory.
+        """Mean (D,), Jacobian (D,M), model variance (D,), total variance as in `variances`, memory, at angles x (M,).
 
-        The whole is a covariance (D,D) where rows err together.
+        The total is a covariance (D,D) for correlated rows.
         """
         mean, jac, model = self.predicted(x)
         spots, postures, memory = self._inflation(x, jac, model)
@@ -173,7 +172,7 @@ class PendingFrame:
         return mean, jac, model, var, memory
 
     def _inflation(self, x: Array, jac: Array, model: Array) -> tuple[float, float, LastFrame]:
-        """How many times perception's and the model's variance count, and what is remembered then."""
+        """Factors on perception's and the model's variance, and the memory afterwards."""
         last, like, share = self.memory, self.like, LASTING[self.like.share]
         if last.place is None or last.point is None:
             return 1.0, 1.0, LastFrame(self.t, self.value, x, np.ones(2))

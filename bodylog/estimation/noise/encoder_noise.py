@@ -1,4 +1,4 @@
-"""Encoder noise and how each joint moves, by white acceleration or jerk, from the evidence of its own readings."""
+"""Encoder noise and process noise of each joint, for white acceleration or jerk, by the evidence of its readings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,13 +9,13 @@ import numpy as np
 from ...types import Array
 from ..inference.folds import Fold
 from ..measurements.records import Encoders
-from .quantisation import dithered, repeated
+from .quantisation import dithered, shared_variance
 from .sudden_motion import followed
 
 TRIED = 45
-"""Ratios tried, over all magnitudes: the parabola through the best of them tells it to less than evidence does."""
+"""Ratios tried, over all magnitudes; a parabola through the best of them is exact enough for the evidence."""
 RANGE = {2: (1e-9, 1e6), 3: (1e-11, 1e6)}
-"""Ratios of process and noise, per reading, by the motion's order."""
+"""Ratios of process to noise, per reading, by the motion's order."""
 SPREADS = {
     order: [
         (i, j, 2 * order - 1 - i - j, (2 * order - 1 - i - j) * factorial(order - 1 - i) * factorial(order - 1 - j))
@@ -25,35 +25,36 @@ SPREADS = {
 }  # fmt: skip
 """Rows, columns, powers of time and divisors of the covariance that unit white noise in the last rate brings."""
 LAGGING = 4.0
-"""Standard deviations: three readings in a row that are farther off are a motion that the filter lags behind."""
+"""Standard deviations: three consecutive readings that are farther off mean that the filter lags."""
 RAISED = 2.0
-"""Factor by which a density is raised at a time until the filter keeps up."""
+"""Factor on a density per step, until the filter keeps up."""
 VAGUE = 1e8
-"""Noise variances: how little a filter that starts anew knows."""
+"""Noise variances: initial variance of a filter."""
 SPACING = 0.01
-"""s: readings closer than this are averaged, for a stretch too short to show how a joint accelerates shows nothing."""
+"""s: closer readings are averaged, because a short stretch shows no acceleration."""
 MOST = 6000
-"""Averages used at most, from the middle of the log: more would not sharpen two numbers per joint."""
+"""Most averages used, from the middle of the log: more would not sharpen two numbers per joint."""
 STRETCH = 512
-"""Averages filtered one after the other, many such stretches side by side: short ones cannot tell slow motion."""
+"""Averages per stretch, all stretches being filtered in parallel; short stretches cannot show slow motion."""
 SKIP = 10
-"""Readings per stretch that only start the filter and do not count."""
+"""Readings at the start of a stretch that do not count."""
 FEWEST = 30
-"""Readings of a joint that say nothing certain of its noise."""
+"""Readings of a joint that are too few to learn its noise."""
 BREAK = 10.0
-"""Robust standard deviations: a larger second difference is a jump, where the filter starts anew."""
+"""Robust standard deviations: a larger second difference is a jump, where the filter restarts."""
 AROUND = 5
-"""Second differences on each side among which that of a jump stands alone."""
+"""Second differences on each side among which a jump must stand out."""
 MEMORY = 1.0
-"""Seconds of readings a belief about a resting joint may average."""
+"""s: longest memory of a filter for a joint at rest."""
 LEAST = 1e-12
-"""rad²: no encoder errs by less than a microradian, a twentieth of the step of a 19-bit one."""
+"""rad²: least encoder variance, (1 µrad)², a twentieth of the step of a 19-bit encoder."""
 
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """encoder (M,) rad² · process (M,) of motion of an order · evidence (nats) of all joints · beside (N,): variances
-    of other senses' readings.
+    """encoder (M,) rad² · process (M,) for motion of an order · evidence (nats) of all joints.
+
+    beside (N,): variances of other senses' readings.
     """
 
     order: int
@@ -66,10 +67,10 @@ class Learned:
 def learn(
     encoders: Encoders, encoder: Array, process: Array, order: int = 2, beside: Sequence[tuple[Array, Array]] = ()
 ) -> Learned:
-    """Encoder variances and noise densities of the motion by evidence; a joint too silent keeps what is given.
+    """Learn encoder variances and process densities by evidence; a joint with few readings keeps the given ones.
 
-    Readings that are counted in steps are spread over them to learn from, and are as noisy as these at least.
-    beside: times and readings of other senses, whose noise is learned as well.
+    Quantised readings are dithered over their step, whose variance is the least. beside: times and readings of other
+    senses, whose noise is learned as well.
     """
     encoder, process, joints, nats = encoder.copy(), process.copy(), list[int](), 0.0
     series, coarse = list[tuple[Array, Array]](), list[list[float]]()
@@ -85,7 +86,7 @@ def learn(
             series.append((encoders.t[known], spread))
             coarse.append(own)
         elif len(known):
-            encoder[joint] *= repeated(encoders.t[known], column[known])
+            encoder[joint] *= shared_variance(encoders.t[known], column[known])
     if joints or beside:
         count, (found, density, won) = len(joints), likeliest([*series, *beside], order)
         found, other, density, nats = found[:count], found[count:], density[:count], float(won[:count].sum())
@@ -100,13 +101,13 @@ def learn(
 
 
 def _followed(series: tuple[Array, Array], noise: float, process: float) -> float:
-    """The density that the motion in times and readings (N,) asks for, `process` at least."""
+    """Density that the motion in times and readings (N,) requires, at least `process`."""
     t, y = series
     return followed(t, y, _alone(np.abs(np.diff(y, 2))), noise, process)
 
 
 def followable(encoders: Encoders, encoder: Array, process: Array) -> Array:
-    """Densities (M,) rad²/s³, at least `process`, with which a filter follows all that the encoders read."""
+    """Densities (M,) rad²/s³, at least `process`, with which a filter follows all readings of the encoders."""
     process = process.copy()
     for joint, column in enumerate(encoders.values.T):
         known = np.isfinite(column)
@@ -115,7 +116,7 @@ def followable(encoders: Encoders, encoder: Array, process: Array) -> Array:
 
 
 def floor(encoders: Encoders, encoder: Array) -> Array:
-    """Least acceleration density (M,) rad²/s³: no joint is trusted to hold still for longer than MEMORY."""
+    """Least acceleration density (M,) rad²/s³, which bounds a filter's memory by MEMORY."""
     step = float(np.median(np.diff(encoders.t))) if len(encoders.t) > 1 else 0.0
     # the filter's memory is (R·dt/q)^(1/4)
     return np.asarray(encoder * step / MEMORY**4)
@@ -138,7 +139,7 @@ def likeliest(series: list[tuple[Array, Array]], order: int = 2) -> tuple[Array,
 
 
 def _followed_by(folded: tuple[Array, Array, Array], ratio: Array, variance: Array, order: int) -> Array:
-    """Ratios (M,), at least those given, with which a filter of such a noise variance (M,) keeps up with all motion."""
+    """Ratios (M,), at least those given, with which a filter of noise variance (M,) keeps up with all motion."""
     raised = ratio * RAISED ** np.arange(24)[:, None]
     _, noise, lag = evidence(*folded, raised, order)
     off = lag * np.sqrt(noise / variance)
@@ -147,7 +148,7 @@ def _followed_by(folded: tuple[Array, Array, Array], ratio: Array, variance: Arr
 
 
 def _peak(ratios: Array, score: Array, noise: Array) -> tuple[Array, Array]:
-    """Ratios and noise (M,) where the score (R,M) is greatest, by the parabola through the best of them."""
+    """Ratios and noise (M,) at the greatest score (R,M), by a parabola through the best three."""
     at = np.clip(score.argmax(axis=0), 1, len(ratios) - 2), np.arange(ratios.shape[1])
     (r0, r1, r2), (s0, s1, s2), (n0, n1, n2) = (
         [a[at[0] + side, at[1]] for side in (-1, 0, 1)] for a in (np.log(ratios), score, np.log(noise))
@@ -158,13 +159,13 @@ def _peak(ratios: Array, score: Array, noise: Array) -> tuple[Array, Array]:
 
 
 def _fellows(t: Array) -> int:
-    """How many readings in a row make one average."""
+    """Readings per average."""
     step = float(np.median(np.diff(t))) if len(t) > 1 else SPACING
     return max(1, min(round(SPACING / max(step, 1e-9)), len(t) // FEWEST))
 
 
 def _averaged(t: Array, y: Array, fellows: int) -> tuple[Array, Array, Array]:
-    """Means (N,) of times and of readings, and where the filter starts anew: about a break, which is in a mean."""
+    """Means (N,) of times and of readings, and where the filter restarts: at and after a mean with a break."""
     whole = len(t) // fellows * fellows
     broken = _breaks(t, y)
     t, y = (a[:whole].reshape(-1, fellows).mean(axis=1) for a in (t, y))
@@ -176,7 +177,7 @@ def _averaged(t: Array, y: Array, fellows: int) -> tuple[Array, Array, Array]:
 
 
 def _side_by_side(series: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
-    """Time steps, readings (NaN after the last) and where the filter starts anew, folded: (L,M,C) each."""
+    """Time steps, readings (NaN after the last) and restarts, folded: (L,M,C) each."""
     most = max(len(t) for t, *_ in series)
     dt, y, fresh = (
         np.zeros((most, len(series))),
@@ -193,13 +194,13 @@ def _side_by_side(series: list[tuple[Array, Array, Array]]) -> tuple[Array, Arra
 def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -> tuple[Array, Array, Array]:
     """Log evidence (R,M) per ratio process/noise (R,M), with the noise variance that maximises it given the ratio.
 
-    And the most standard deviations (R,M) by which three readings in a row are off, their median; of order 3 alone.
+    For order 3 also the largest median (R,M) of three consecutive innovations, in standard deviations.
     """
     finite, count = np.isfinite(y), np.arange(len(y))[:, None, None]
     fresh = np.asarray(fresh | (count == 0))
     counts = np.asarray(finite & (count - np.maximum.accumulate(np.where(fresh, count, 0)) >= SKIP))
     begins = np.asarray(fresh.any(axis=(1, 2)))
-    # readings of the same times and ratios have the same covariance: it is found once for all of them
+    # readings with equal times and ratios have the same covariance, which is computed once
     first, which = _same_covariance(dt, finite, fresh, ratios)
     own_dt, own_counts, q = dt[:, first], counts[:, first], ratios[:, first, None]
     x, (squares, lag) = np.zeros((order, *ratios.shape, y.shape[2])), np.zeros((2, *ratios.shape, y.shape[2]))
@@ -234,7 +235,7 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -
 
 
 def _same_covariance(*parts: Array) -> tuple[Array, Array | slice]:
-    """The first (U,) of each group of columns that are alike in all parts (L,M,…), and each column's group (M,)."""
+    """First column (U,) of each group that is equal in all parts (L,M,…), and each column's group (M,)."""
     keys = [b"".join(part[:, column].tobytes() for part in parts) for column in range(parts[0].shape[1])]
     numbers = {key: number for number, key in enumerate(dict.fromkeys(keys))}
     first = np.array([keys.index(key) for key in numbers])
@@ -242,7 +243,7 @@ def _same_covariance(*parts: Array) -> tuple[Array, Array | slice]:
 
 
 def _vague(dt: Array, order: int, shape: tuple[int, ...]) -> Array:
-    """Covariance (S,S,…) of a filter that starts anew, by the typical step of times dt (L,U,C)."""
+    """Initial covariance (S,S,…) of a filter, for the typical step of times dt (L,U,C)."""
     steps = np.array([np.median(own[own > 0]) for own in dt.swapaxes(0, 1)])[:, None] if order > 2 else 1.0
     vague = np.zeros((order, order, *shape))
     for state in range(order):
@@ -251,7 +252,7 @@ def _vague(dt: Array, order: int, shape: tuple[int, ...]) -> Array:
 
 
 def _carry(a: Array, h: Array) -> None:
-    """States a (S,…) a time h later, in place."""
+    """Move states a (S,…) by a time h, in place."""
     for state in range(len(a) - 1):
         a[state] += h * a[state + 1]
         if state + 2 < len(a):
@@ -259,7 +260,7 @@ def _carry(a: Array, h: Array) -> None:
 
 
 def _breaks(t: Array, y: Array) -> Array:
-    """Where the reading cannot follow from its neighbours (N,): the filter starts anew there."""
+    """Readings (N,) that cannot follow from their neighbours, where the filter restarts."""
     bend = np.abs(np.diff(y, 2))
     gap = np.diff(t) > 20.0 * np.median(np.diff(t))
     alone = _alone(bend)
@@ -271,9 +272,9 @@ def _breaks(t: Array, y: Array) -> Array:
 
 
 def _alone(bend: Array) -> Array:
-    """Which bends (N,) stand out of all others, and of those around them: an arm that starts to move goes on."""
+    """Second differences (N,) that stand out of all others and of their neighbours; those of a starting arm do not."""
     moved = bend[bend > 0.0]
-    # where most readings repeat, what the others do is typical
+    # where most readings repeat, the others are typical
     typical = np.median(bend) if 2 * len(moved) > len(bend) else np.median(moved) if len(moved) else np.inf
     found = bend > BREAK * 1.4826 * typical
     at = np.flatnonzero(found)

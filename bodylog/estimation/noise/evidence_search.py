@@ -1,4 +1,4 @@
-"""Evidence of the whole filter, vision included, for many precisions at once: how the arm moves and pixels err."""
+"""Evidence of the whole filter, images included, for many noise models at once."""
 
 from dataclasses import replace
 
@@ -19,25 +19,25 @@ from .smoother_process import least
 from .visibility import View, views, visual
 
 MOST = 1000
-"""Pictures of a track used at most, from the middle of the log."""
+"""Most images of a track used, from the middle of the log."""
 FEWEST = 10
-"""Sightings without which vision says nothing about its own noise."""
+"""Fewest sightings from which pixel noise is learned."""
 ROUGHLY = 1e-2
-"""Standard deviations: how still a solution must be for its evidence to be compared."""
+"""Standard deviations: tolerance on starts for comparing a solution's evidence."""
 NEARLY = 0.25
-"""Standard deviations: how still stretches' starts must be for candidates to be compared from where these end."""
+"""Standard deviations: tolerance on starts for comparing candidates that start there."""
 TRUST = 0.5
-"""Standard deviation, in natural logarithms, of perception's own word on its pixel variances."""
+"""Prior standard deviation, in natural logarithms, of the factor on perception's pixel variances."""
 BELOW = 16.0
-"""How many times smaller than is let pass process variances are asked for, as a still arm has none at all."""
+"""Process variances are searched down to this fraction of the least allowed, because a resting arm has none."""
 ROUNDS = (1.2, 0.7, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
 
 def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
-    """Process variances and pixel factors by (the middle of) the log, for a belief by the whole of it or by the past.
+    """Process variances and pixel factors from (the middle of) the log, for a smoother (`whole`) or a filter.
 
-    With the last solution to begin from, if it was of the whole log.
+    Also the last solution as a warm start, if it covers the whole log.
     """
     part = middle(replace(problem, precision=replace(problem.precision, fewer={})))
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
@@ -57,13 +57,13 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
 
 
 def _less(problem: Problem) -> list[View]:
-    """What is in view at times, where that is not all and encoders go on saying where the arm is."""
+    """Sets of tracks in view at times when not all are, if encoders still determine the arm."""
     usual = tuple(s.name for s in visual(problem.evidence.sightings))
     return [] if problem.path else [v for v in views(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
 
 
 def _moving(problem: Problem, part: Problem, solved: tuple[KnotProblem, Solution], whole: bool) -> NoiseModel:
-    """The part's precisions for a belief by the whole log or by the past, with what of its covariance to state."""
+    """The part's noise model for a smoother (`whole`) or a filter, with the share of its covariance to state."""
     encoders, floor = problem.evidence.encoders, _floor(part)
     if whole:
         held = replace(part.precision, process=np.maximum(part.precision.process, floor))
@@ -76,13 +76,13 @@ def _moving(problem: Problem, part: Problem, solved: tuple[KnotProblem, Solution
 
 
 def _led(part: Problem, process: Array) -> Array:
-    """Process variances (M,) of a smoother whose way forth stays within the gate."""
+    """Process variances (M,) of a smoother whose forward pass stays within the gate."""
     encoders = part.evidence.encoders
     return process if encoders is None else followable(encoders, part.precision.encoder, process)
 
 
 def _with_view(part: Problem, view: View) -> tuple[Problem, tuple[KnotProblem, Solution]]:
-    """The part as if only these of its tracks had been in view, and as it is told then."""
+    """The part with only these of its tracks, and its solution."""
     sightings = tuple(s for s in part.evidence.sightings if s.name in view)
     evidence = replace(part.evidence, sightings=sightings)
     less = replace(part, evidence=evidence, timeline=timeline(evidence, None))
@@ -90,12 +90,11 @@ def _with_view(part: Problem, view: View) -> tuple[Problem, tuple[KnotProblem, S
 
 
 def _own(problem: Problem, part: Problem, first: Solution) -> tuple[Array, Array]:
-    """Process variances (M,) of a filter, which fits no motion at all time scales, and encoders' share (M,) of its own.
+    """Process variances (M,) of a filter, which fits no motion at all time scales, and the encoders' share (M,).
 
-    A joint has that of its encoder as far as this still tells it. Variance by all senses over the one by the encoder
-    alone says what pictures leave unknown. With one camera that is a direction in which joints err together, and
-    independent ones amount to its process variance along it only with as many times theirs as there are joints that
-    take part.
+    A joint has its encoder's process variance to the extent that the encoder determines it: the variance by all senses
+    over the one by encoders alone is what images leave undetermined. With one camera this is a direction in which
+    joints err together. Independent errors add up to it only with as many times their variance as joints take part.
     """
     encoders, precision, m = problem.evidence.encoders, problem.precision, len(problem.start)
     share, white = np.full(m, 0.5), np.zeros(m)
@@ -108,14 +107,14 @@ def _own(problem: Problem, part: Problem, first: Solution) -> tuple[Array, Array
             for process in (precision.process, part.precision.process)
         )
         taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
-        # for as long as an encoder is silent it has no share
+        # a silent encoder has no share
         share = np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0)
     alone = precision.process if precision.evident is None else precision.evident
     return np.asarray(share * alone + (1.0 - share) * part.precision.process), white
 
 
 def _prior(candidates: Array, m: int) -> Array:
-    """Nats (G,) against pixel factors far from what perception claims."""
+    """Nats (G,) of pixel factors far from 1."""
     return np.asarray(0.5 * np.square(candidates[:, m:] / TRUST).sum(axis=1))
 
 
@@ -125,20 +124,20 @@ def _seen(sighting: Sighting) -> int:
 
 def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
     m, precision = len(part.start), part.precision
-    # frames that err alike foretell each other well: that is no reason to think perception better than it says
+    # correlated frames predict each other well, which is no evidence of lower pixel noise
     found = {name: max(float(v), 1.0) for name, v in zip(names, values[m:], strict=True)}
     scale = {**precision.scale, **found}
     return replace(precision, process=np.maximum(values[:m], _floor(part) / BELOW), scale=scale)
 
 
 def _floor(part: Problem) -> Array:
-    """Process variances (M,) at least."""
+    """Least process variances (M,)."""
     encoders = part.evidence.encoders
     return np.zeros(len(part.start)) if encoders is None else floor(encoders, part.precision.encoder)
 
 
 def _step(nats: Array, half: float) -> Array:
-    """To the bottom of the parabola through (−half, 0, half) along each axis, at most 2 half."""
+    """Step to the minimum of the parabola through (−half, 0, half) along each axis, at most 2 half."""
     count = (len(nats) - 1) // 2
     up, down = nats[1 : 1 + count], nats[1 + count :]
     bend = up - 2.0 * nats[0] + down
@@ -153,7 +152,7 @@ def costs(
 ) -> tuple[Array, tuple[KnotProblem, Solution]]:
     """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors.
 
-    Filtered from where stretches ended as `solved`; and the log as told by the first candidate, which the problem has.
+    Stretches start where those of `solved` ended. Also the first candidate's solution.
     """
     (knots, first), g, m = solved, len(candidates), len(part.start)
     few, readings, fold = replace(part, timeline=knots.problem.timeline), knots.readings, knots.fold
@@ -165,7 +164,7 @@ def costs(
             pixels = np.zeros_like(readings.var[:, index])
             fold.put(pixels, events, sighting.var)
             more = candidates[:, m + names.index(sighting.name)] - part.precision.scale[sighting.name]
-            # a lasting error counts for less than itself where a filter extrapolates
+            # a lasting error counts less than its variance in a filter's extrapolation
             var[:, index] += np.minimum(pixels, readings.var[:, index])[..., None] * more
     tiled = tile(knots, var, candidates[:, :m].T)
     dynamics = replace(few.dynamics, process=np.tile(candidates[:, :m].T, fold.count))
@@ -175,7 +174,7 @@ def costs(
 
 
 def middle(problem: Problem) -> Problem:
-    """The problem cut to at most MOST pictures of any track, around the middle of the log."""
+    """The middle of the log, with at most MOST images of any track."""
     evidence, found = problem.evidence, problem.evidence.encoders
     t = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
     if len(t) <= MOST:

@@ -1,4 +1,4 @@
-"""Variances of the senses and of the motion: learned from this log's evidence, the body's, or the paper's."""
+"""Noise model of senses and motion: learned from this log, the body's, or the paper's."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -21,10 +21,10 @@ from .quantisation import relative
 class NoiseModel:
     """encoder (M,) rad² · process (M,) rad²/s³ · drift (M,) rad²/s or None · scale {sighting: variance factor}.
 
-    near {sighting: px} within which its errors are alike; other sightings' errors are white · stated: what share of
-    the covariance under white acceleration is stated, () or (M,) · fewer {tracks in view: process (M,)} where these are
-    not all · likeliest: process (M,) of a filter, where a smoother's is another · evident: process (M,) before `held` ·
-    white: what was learned for white acceleration.
+    near {sighting: px} correlation length of its errors; other sightings have white errors · stated: share of the
+    covariance that is stated, () or (M,) · fewer {tracks in view: process (M,)} where these are not all · likeliest:
+    process (M,) of a filter, where a smoother's differs · evident: process (M,) before `held` · white: what was learned
+    for white acceleration.
     """
 
     encoder: Array
@@ -39,7 +39,7 @@ class NoiseModel:
     white: Learned | None = None
 
     def plain(self) -> dict[str, Any]:
-        """As plain numbers, to be written beside the estimate."""
+        """The model as plain numbers, for the estimate's settings."""
         drift = None if self.drift is None else [float(v) for v in self.drift]
         encoder, process = [float(v) for v in self.encoder], [float(v) for v in self.process]
         plain = {"encoder": encoder, "process": process, "drift": drift, "scale": dict(self.scale)}
@@ -49,29 +49,29 @@ class NoiseModel:
         return {**plain, **likeliest, **({"process_in_view": fewer} if fewer else {})}
 
     def held(self, evident: Array, encoders: Encoders, white: Array | float = 1.0) -> "NoiseModel":
-        """With processes (M,) by evidence alone, but no joint trusted to hold still for longer than MEMORY.
+        """With processes (M,) by evidence, but at least those that bound a filter's memory by MEMORY.
 
-        Under white acceleration a quarter of a steady variance is motion: it is stated as far as there is any. `white`:
-        share of the variance that is the encoders', whose readings err each by itself.
+        Under white acceleration a quarter of a steady variance is motion, which is stated only as far as there is any.
+        `white`: share of the variance from encoders, whose errors are independent.
         """
         process = np.maximum(evident, encoder_noise.floor(encoders, self.encoder))
         stated = 1.0 - MOTION * white * (1.0 - np.minimum(evident / process, 1.0))
         return replace(self, process=process, stated=stated, evident=evident)
 
     def of(self, cov: Array) -> Array:
-        """The covariance (E,M,M) that is stated where white acceleration gives `cov`."""
+        """Stated covariance (E,M,M) for the covariance `cov` under white acceleration."""
         share = np.sqrt(np.broadcast_to(self.stated, self.process.shape))
         return np.asarray(share[:, None] * share * cov)
 
 
 MOTION = 0.25
-"""Share of a filter's steady variance under white acceleration that is motion smoothed away."""
+"""Share of motion in a filter's steady variance under white acceleration."""
 PAPER = (1.0, 5.0)
 """The paper's variances of encoders (rad²) and pixels (px²)."""
 
 
 def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseModel:
-    """By `settings.precision`: `auto` from this log, `model` from the body, `fixed` from the paper."""
+    """The noise model of `settings.precision`: `auto` from this log, `model` from the body, `fixed` from the paper."""
     encoder, process = np.array(body.noise.encoder, float), np.array(body.noise.process, float)
     scale = {sighting.name: 1.0 for sighting in evidence.sightings}
     if settings.precision == "fixed":
@@ -87,7 +87,7 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseM
 
 
 def weighed(evidence: Evidence, precision: NoiseModel, settings: Estimation) -> Evidence:
-    """The evidence with readings that repeat, as an arm at rest has them, worth less each; if noise is from the log."""
+    """The evidence with larger variances for repeated readings, as of an arm at rest, if noise is learned."""
     encoders = evidence.encoders
     if settings.precision != "auto" or encoders is None or not (np.diff(encoders.values, axis=0) == 0.0).any():
         return evidence
@@ -100,9 +100,9 @@ def weighed(evidence: Evidence, precision: NoiseModel, settings: Estimation) -> 
 
 
 def carried(body: BodyModel, found: Mapping[str, Any] | None) -> NoiseModel:
-    """A filter's, as the body has them, or as an estimate's settings do (`Precision.plain`).
+    """A filter's noise model from the body, or from an estimate's settings (`NoiseModel.plain`).
 
-    UsageError where these are not of this body.
+    UsageError if these are not of this body.
     """
     if found is None:
         return NoiseModel(np.array(body.noise.encoder, float), np.array(body.noise.process, float), None, {})
@@ -114,7 +114,7 @@ def carried(body: BodyModel, found: Mapping[str, Any] | None) -> NoiseModel:
 
 
 def _positive(found: Mapping[str, Any], name: str, count: int) -> Array:
-    """Numbers (M,) above 0 that settings have; UsageError where they have not."""
+    """Positive numbers (M,) from the settings; UsageError for others."""
     try:
         values = np.asarray(found.get(name), float)
     except (TypeError, ValueError):
@@ -126,7 +126,7 @@ def _positive(found: Mapping[str, Any], name: str, count: int) -> Array:
 
 
 def warned(evidence: Evidence, body: BodyModel, settings: Estimation) -> Evidence:
-    """The evidence, with a warning where it was to say an encoder's noise of which there are too few readings."""
+    """The evidence, with a warning if an encoder has too few readings to learn its noise."""
     if settings.precision != "auto" or evidence.encoders is None:
         return evidence
     counts = np.isfinite(evidence.encoders.values).sum(axis=0)
@@ -142,6 +142,6 @@ def warned(evidence: Evidence, body: BodyModel, settings: Estimation) -> Evidenc
 
 
 def _fixed(evidence: Evidence) -> dict[str, float]:
-    """Factors that bring each track's median variance to the paper's σ_v; touch keeps its own."""
+    """Factors that bring each track's median variance to the paper's σ_v, except touch."""
     visual = [sighting for sighting in evidence.sightings if sighting.name != "touch"]
     return {s.name: float(PAPER[1] / np.median(s.var)) for s in visual}

@@ -1,4 +1,4 @@
-"""Noise of each sense by its own readings: encoders and how joints move, and how images of a track jitter."""
+"""Noise of each sense from its own readings: encoders, process noise, and pixel noise of tracks."""
 
 from dataclasses import dataclass, replace
 
@@ -9,12 +9,12 @@ from ..measurements.records import Evidence, Sighting
 from .encoder_noise import FEWEST, Learned, learn
 
 MEMORY = 1.0
-"""s of readings that a belief about a resting joint may average."""
+"""s: longest memory of a filter for a joint at rest."""
 
 
 @dataclass(frozen=True, eq=False)
 class OwnNoise:
-    """What was learned for motion of order 2 and of order 3 (None where readings are too few), and factors {track}."""
+    """Learned for motion of order 2 and of order 3 (None if readings are too few), and variance factors {track}."""
 
     acceleration: Learned
     jerk: Learned | None
@@ -22,14 +22,14 @@ class OwnNoise:
 
     @property
     def preferred(self) -> Learned:
-        """The motion that the encoders' own evidence prefers."""
+        """The motion with the greater evidence."""
         if self.jerk is None or self.jerk.evidence < self.acceleration.evidence:
             return self.acceleration
         return self.jerk
 
 
 def own_noise(evidence: Evidence, white: Learned, encoder: Array) -> OwnNoise:
-    """By the log's encoders, whose noise under `white` acceleration is known; `encoder` (M,) rad² where one is mute."""
+    """Learn from the log; noise under `white` acceleration is known; `encoder` (M,) rad²: for silent joints."""
     found = evidence.encoders
     assert found is not None
     white = replace(white, process=np.maximum(white.process, floor(found.t, white.encoder, 2)))
@@ -43,17 +43,17 @@ def own_noise(evidence: Evidence, white: Learned, encoder: Array) -> OwnNoise:
     scale, noise = {}, list(smooth.beside)
     for one in tracks:
         own = [noise.pop(0) for _ in one.model.outputs]
-        # frames that err alike foretell each other well: that is no reason to think perception better than it says
+        # correlated frames predict each other well, which is no evidence of lower pixel noise
         scale[one.name] = max(1.0, float(np.mean(own / np.median(one.var[seen(one)], axis=0))))
     return OwnNoise(white, smooth, scale)
 
 
 def seen(track: Sighting) -> Array:
-    """Which of a track's images (F,) show something."""
+    """Images (F,) of a track with a sighting."""
     return np.asarray(np.isfinite(track.values).all(axis=1))
 
 
 def floor(t: Array, encoder: Array, order: int) -> Array:
-    """Least density (M,): a filter's memory, (R Δt / q)^(1/2p), is no longer than MEMORY."""
+    """Least density (M,), which bounds a filter's memory, (R Δt / q)^(1/2p), by MEMORY."""
     step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     return np.asarray(encoder * step / MEMORY ** (2 * order))

@@ -1,4 +1,4 @@
-"""Where the arm is wont to be: a weak prior for joints no encoder speaks of, lest pictures alone lose them."""
+"""A weak posture prior for joints without encoder readings, which images alone may not determine."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,22 +10,25 @@ from ...types import Array
 from ..measurements.records import Evidence
 
 LASTING = 4.0
-"""How many times their process variance joints move that pictures hardly hold: in seconds, accelerations that last take
-an arm farther than white ones, of which encoders' noise shows some tenths of a second."""
+"""Factor on the process variance of joints that images hardly determine.
+
+Encoder noise shows tenths of a second of motion. Over seconds, lasting accelerations move an arm farther than white
+ones.
+"""
 WIDER = 2.0
-"""How many times the spread of the explored angles a joint may be from their mean, in one standard deviation."""
+"""Prior standard deviation of a joint, in standard deviations of the explored angles."""
 
 
 @dataclass(frozen=True, eq=False)
 class PosturePrior:
-    """joints (M,) bool without an encoder · their mean (M,) rad · variance density (M,) rad²·s of a steady reminder."""
+    """joints (M,) bool without an encoder · mean (M,) rad · variance density (M,) rad²·s of its pseudo-readings."""
 
     joints: Array
     mean: Array
     density: Array
 
     def fill(self, t: Array, encoders: Array, var: Array) -> tuple[Array, Array]:
-        """Encoder rows (E,M) and variances with a reminder at each instant, as weak as the time since the last."""
+        """Encoder rows (E,M) and variances with a pseudo-reading at each instant, weighted by the time step."""
         dt = np.diff(t, prepend=t[0])
         encoders, var = encoders.copy(), var.copy()
         encoders[1:, self.joints] = self.mean[self.joints]
@@ -33,7 +36,7 @@ class PosturePrior:
         return encoders, var
 
     def add_prior(self, readings: Array, var: Array, joints: Array, since: Array) -> tuple[Array, Array, Array]:
-        """Readings said (M,) rad and variances with a reminder of those `joints` (M,) bool that say nothing; and which.
+        """Readings (M,) rad and variances with a pseudo-reading of silent `joints` (M,) bool; and which joints.
 
         since (M,): s after the last one.
         """
@@ -42,7 +45,7 @@ class PosturePrior:
 
 
 def learn_prior(evidence: Evidence, process: Array, start: Array) -> PosturePrior | None:
-    """The habit of joints that no encoder of a log speaks of, by what its tracks' models were learned from."""
+    """The prior of joints without encoder readings in a log, from the samples of its tracks' models."""
     silent: Array = np.ones(len(process), bool)
     if evidence.encoders is not None:
         silent = np.all(~np.isfinite(evidence.encoders.values), axis=0)
@@ -50,16 +53,16 @@ def learn_prior(evidence: Evidence, process: Array, start: Array) -> PosturePrio
 
 
 def adrift_prior(models: Mapping[str, ForwardModel], process: Array, start: Array) -> PosturePrior | None:
-    """The habit of joints adrift, all that may be; process (M,) rad²/s³ as it is where encoders speak."""
+    """The prior of joints adrift; process (M,) rad²/s³ is that with encoders."""
     return prior_of(np.ones(len(process), bool), models, LASTING * process, start)
 
 
 def prior_of(silent: Array, models: Mapping[str, ForwardModel], process: Array, start: Array) -> PosturePrior | None:
-    """The habit of the `silent` joints (M,) bool; None when all encoders speak or no track's model tells.
+    """The prior of the `silent` joints (M,) bool; None if there are none or no model has samples.
 
-    A reminder of density R under white acceleration q alone holds a joint to the variance √2 q^¼ R^¾: R is such that
-    this is the explored angles' own, widened. Seen joints are wont to be where they were explored; those only felt,
-    now and then, stay where they started.
+    Pseudo-readings of density R under white acceleration q hold a joint at the variance √2 q^¼ R^¾. R is such that
+    this equals the widened variance of the explored angles. The mean is that of the explored angles, or the start if
+    only touch was measured.
     """
     distinct = {id(model): model for model in models.values()}
     known = [model.samples for model in distinct.values() if hasattr(model, "samples") and len(model.samples) > 1]

@@ -1,17 +1,17 @@
-"""The step an encoder counts in: readings that repeat exactly foretell each other, which is no proof of their noise."""
+"""Quantised encoders: readings that repeat exactly predict each other, which is no evidence of low noise."""
 
 import numpy as np
 
 from ...types import Array
 
 WHOLE, MOST = 0.02, 0.95
-"""How near to whole numbers of the least step the others must be, and which share of them."""
+"""Tolerance on multiples of the least step, and share of steps that must be multiples."""
 ONE = 0.15
-"""s: where one reading repeats for longer, motion no longer averages its error away, and the readings share it."""
+"""s: where a reading repeats for longer, motion does not average its error, and the readings share it."""
 
 
-def grain(y: Array) -> float:
-    """The step (rad) of which all steps between readings (N,) are multiples; 0 where there is none."""
+def step_size(y: Array) -> float:
+    """The step (rad) of which all differences of readings (N,) are multiples; 0 without one."""
     steps = np.abs(np.diff(y))
     steps = steps[steps > 1e-12]
     if not len(steps):
@@ -20,36 +20,36 @@ def grain(y: Array) -> float:
     return float(steps.min()) if np.mean(np.abs(counts - np.round(counts)) < WHOLE) > MOST else 0.0
 
 
-def repeated(t: Array, y: Array) -> float:
-    """How many times their variance readings (N,) have that share their errors, as repeats do; 1 without repeats."""
+def shared_variance(t: Array, y: Array) -> float:
+    """Factor on the variance of readings (N,) for the errors that repeats share; 1 without repeats."""
     runs = 1 + np.count_nonzero(np.diff(y))
     return max(1.0, min(float(t[-1] - t[0]) / runs / ONE, len(y) / runs))
 
 
 def dithered(t: Array, y: Array) -> tuple[Array, float, float]:
-    """Readings (N,) spread evenly over the step they were counted in, the variance (rad²) of that, and their least."""
-    step = grain(y)
+    """Readings (N,) dithered over their step, the variance (rad²) of the dither, and the least variance."""
+    step = step_size(y)
     if step == 0.0:
-        return y, 0.0, resolved(y) * repeated(t, y)
+        return y, 0.0, resolved(y) * shared_variance(t, y)
     variance = step * step / 12.0
     spread = y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y))
-    return spread, variance, variance * repeated(t, y)
+    return spread, variance, variance * shared_variance(t, y)
 
 
 def relative(t: Array, y: Array, variance: float) -> Array:
-    """Variance of each reading (N,) over the encoder's, `variance` (rad²): what repeats at rest is one reading."""
-    own = resolved(y) or variance / repeated(t, y)
+    """Variance of each reading (N,) over the encoder's `variance` (rad²); repeats at rest count as one reading."""
+    own = resolved(y) or variance / shared_variance(t, y)
     runs = np.flatnonzero(np.append(True, np.diff(y) != 0.0))
     counts = np.diff(runs, append=len(y))
     lasting = t[np.minimum(runs + counts, len(y) - 1)] - t[runs]
     shared = np.clip(lasting / ONE, 1.0, counts)
-    beside = max(variance - own * (repeated(t, y) - 1.0), own)
+    beside = max(variance - own * (shared_variance(t, y) - 1.0), own)
     return np.asarray(np.repeat(beside + own * (shared - 1.0), counts) / variance)
 
 
 def resolved(y: Array) -> float:
-    """Variance (rad²) of counting readings (N,) in steps, or in least changes where they repeat; 0 if neither."""
+    """Variance (rad²) of quantisation by the step, or by the least change if readings repeat; 0 if neither."""
     steps = np.abs(np.diff(y))
     moved = steps[steps > 0.0]
-    step = grain(y) or (float(moved.min()) if 0 < len(moved) < len(steps) else 0.0)
+    step = step_size(y) or (float(moved.min()) if 0 < len(moved) < len(steps) else 0.0)
     return step * step / 12.0

@@ -1,12 +1,12 @@
-"""Process variances of a smoother: those of least squared error, and not of greatest evidence.
+"""Process variances of a smoother with the least squared error, rather than the greatest evidence.
 
-Evidence weighs all of a motion up to the frequency where smoothing cuts off. Arms move slower than that and smoothly,
-which it lays to a large q, and more noise passes than must. What motion adds to the error near the cut-off shows in
-how far the path moves with q. Of a steady variance V noise makes 3/4, which grows as q^¼. Of angles whose spectrum
-falls as ω^−p motion leaves what falls as q^(−(p − 1)/4): their sum is least where this is one (p − 1)th of the noise's.
-p is 4 under white acceleration, 6 under white jerk and 8 where jerk jumps, as in reaches of least jerk (Flash & Hogan
-1985); it shows in how fast the moves fall with q. Beyond 6 the error hardly falls, and q stays what it is at 6.
-What is stated of V is what noise makes and what motion adds, as far as the path still moves there.
+The evidence covers motion up to the smoother's cut-off frequency. Arms move more smoothly than white acceleration, so
+the evidence prefers a large q, which lets more noise pass than necessary. How far the path moves with q shows what
+motion adds to the error near the cut-off. Noise makes 3/4 of a steady variance V, and grows as q^¼. For angles with
+spectrum ω^−p, motion adds an error that falls as q^(−(p − 1)/4). The sum is least where the latter is 1/(p − 1) of the
+former. p is 4 for white acceleration, 6 for white jerk and 8 for minimum-jerk reaches (Flash & Hogan 1985); the rate
+at which moves fall with q shows it. Beyond 6 the error hardly falls, so q stays at its value for 6. The stated
+share of V is noise, plus motion as far as the path still moves.
 """
 
 from dataclasses import replace
@@ -25,31 +25,31 @@ from .visibility import LONG
 
 STEP = 4.0
 FACTORS = STEP ** np.arange(-3.0, 3.0)
-"""Times the process variances of greatest evidence that are tried."""
+"""Factors on the process variances of greatest evidence that are tried."""
 POWERS = np.arange(4.0, 9.0)
-"""p: beyond, what is left comes of few slow swings rather than of what is about the cut-off."""
+"""Values of p; beyond them the rest comes from few slow swings rather than from the cut-off."""
 MOST = np.array([2.434, 2.674, 2.934, 2.934, 2.934])
-"""For each p, mean squared move of the path by one STEP, over what noise makes of it, where the error is least.
+"""For each p, mean squared move of the path per STEP, over that of noise, at the least error.
 
 With H(q) = 1/(1 + u⁴/q) and motion a u^−p these are ∫ (H(2) − H(½))² (1 + a u^−p) du and ∫ (H(2) − H(½))² du.
 """
 LEFT = np.array([2.388, 1.535, 1.062, 0.771, 0.579])
-"""For each p, what motion adds to the error, over how far it moves the path by one STEP about there.
+"""For each p, error by motion over the path's move per STEP.
 
 That is ∫ (1 − H)² u^−p du over ∫ (H(2) − H(½))² u^−p du, whatever the motion's strength.
 """
 NOISE, SWAY = 0.75, 0.073
-"""Shares of V that noise makes of the error, ∫ H² du, and of the path's mean squared move by one STEP."""
+"""Shares of V: error by noise, ∫ H² du, and the path's mean squared move by noise per STEP."""
 TURNS = 2
-"""Times stretches hand over their ends."""
+"""Rounds in which stretches hand over their ends."""
 
 
 def least(part: Problem, solved: tuple[KnotProblem, Solution]) -> tuple[Array, float]:
-    """Process variances (M,) of least error, the problem's times one factor, and the share of V that this error is.
+    """Process variances (M,) of least error, as one factor on the problem's, and this error's share of V.
 
-    `solved` is the solution of its filter.
+    `solved`: the solution of the filter.
     """
-    present = _outside_silences(part, solved[0].problem.timeline.t)
+    present = _without_gaps(part, solved[0].problem.timeline.t)
     moved = np.square(np.diff(_paths(part, solved, FACTORS)[0][:, present], axis=0)).mean(axis=1)
     # noise's share of it grows as q^¼
     noise = moved[-1] * (FACTORS[:-1] / FACTORS[-2])[:, None] ** 0.25
@@ -61,8 +61,8 @@ def least(part: Problem, solved: tuple[KnotProblem, Solution]) -> tuple[Array, f
     return np.asarray(part.precision.process * factor), _stated(part, solved, float(factor), power)
 
 
-def _outside_silences(part: Problem, t: Array) -> Array:
-    """Which of the times t (E,) s are in no long silence of an encoder, where a path moves with q as nowhere else."""
+def _without_gaps(part: Problem, t: Array) -> Array:
+    """Times t (E,) s outside long silences of an encoder, in which a path moves far with q."""
     encoders = part.evidence.encoders
     known = np.empty(0) if encoders is None else encoders.t[np.isfinite(encoders.values).all(axis=1)]
     if len(known) < 2:
@@ -73,15 +73,15 @@ def _outside_silences(part: Problem, t: Array) -> Array:
 
 
 def _stated(part: Problem, solved: tuple[KnotProblem, Solution], factor: float, power: float) -> float:
-    """The share of V that the error is at a factor: noise's, and motion's by how far the path moves there."""
+    """The error's share of V at a factor: noise, plus motion as far as the path still moves."""
     paths, var = _paths(part, solved, factor * STEP ** np.array([-0.5, 0.5]))
-    present = _outside_silences(part, solved[0].problem.timeline.t)
+    present = _without_gaps(part, solved[0].problem.timeline.t)
     moved = float((np.square(paths[1] - paths[0]) / np.sqrt(var[0] * var[1]))[present].mean())
     return float(np.clip(NOISE + np.interp(power, POWERS, LEFT) * (moved - SWAY), NOISE, 1.0))
 
 
 def _power(ratios: Array) -> float:
-    """p, by how fast moves over those of noise, 1 + b q^(−p/4), fall before they come near it; ratios (5,)."""
+    """p, from the rate at which moves over those of noise, 1 + b q^(−p/4), fall; ratios (5,)."""
     last = max(int(np.flatnonzero(ratios > MOST[0]).max(initial=0)), 1)
     before, after = ratios[last - 1 : last + 1] - 1.0
     if after <= 0.0 or before <= after:
@@ -90,7 +90,7 @@ def _power(ratios: Array) -> float:
 
 
 def _paths(part: Problem, solved: tuple[KnotProblem, Solution], factors: Array) -> tuple[Array, Array]:
-    """Smoothed angles (G,E,M) of the log in brief for each of the factors, along the tangents of `solved`; and V there.
+    """Smoothed angles (G,E,M) of the knots for each factor, with the tangents of `solved`; and V there.
 
     A steady smoother has a quarter of its filter's variance.
     """

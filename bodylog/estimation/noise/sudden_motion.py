@@ -1,7 +1,7 @@
-"""Motion that a filter has to follow: a joint that rests for long and then moves is no blunder of its encoder.
+"""Sudden motion: a filter must follow a joint that starts to move after a long rest.
 
-Evidence has one acceleration density for rest and motion. Where rest prevails, the density may be so small that the
-filter lags behind a motion until the gate holds every further reading for an outlier.
+The evidence has one acceleration density for rest and motion. If rest prevails, the density may be so small that the
+filter lags, and the gate rejects every further reading as an outlier.
 """
 
 import numpy as np
@@ -10,20 +10,22 @@ from ...types import Array
 from ..inference.conditioning import GATE
 
 WITHIN = 0.8
-"""Share of the gate that a lasting acceleration may move innovations by; the rest is the readings' own noise."""
+"""Share of the gate for innovations by lasting accelerations; the rest is for the readings' noise."""
 RAISED = 2.0
-"""Factor by which a density is raised at a time."""
+"""Factor on a density per step."""
 LATE = 1.5
-"""Median steps in time: readings farther apart show no acceleration."""
+"""Median time steps: readings farther apart show no acceleration."""
 MEMORY = 1.5
-"""Width, in 1/√β readings, of the three means whose second difference tells an acceleration: their noise moves
-innovations by a standard deviation at most."""
+"""Width, in 1/√β readings, of the three means whose second difference estimates an acceleration.
+
+Their noise moves innovations by at most one standard deviation.
+"""
 
 
 def followed(t: Array, y: Array, alone: Array, noise: float, process: float) -> float:
     """The density (rad²/s³), at least `process`, that keeps innovations of readings y (N,) at t (N,) s in the gate.
 
-    alone (N-2,) bool: second differences that are no motion · noise: variance (rad²) of one reading.
+    alone (N-2,) bool: second differences that are not motion · noise: variance (rad²) of one reading.
     """
     steps = np.diff(t)
     step = float(np.median(steps)) if len(t) > 2 else 0.0
@@ -40,9 +42,9 @@ def followed(t: Array, y: Array, alone: Array, noise: float, process: float) -> 
 
 
 def _lag(summed: Array, step: float, noise: float, process: float) -> float:
-    """Largest innovation, in standard deviations, that accelerations lasting as long as the filter's memory leave.
+    """Largest innovation, in standard deviations, from accelerations that last as long as the filter's memory.
 
-    summed (N,) rad: cumulated readings. A filter of steady gains α, β has innovations of a Δt²/β under an
+    summed (N,) rad: cumulated readings. A filter with steady gains α, β has innovations of a Δt²/β under an
     acceleration a, and of variance noise/(1 − α) otherwise (Kalata 1984, "The tracking index").
     """
     index = np.sqrt(process * step**3 / noise)

@@ -1,4 +1,4 @@
-"""Variances typed in the settings: they take the place of what was learned, and stay as they are."""
+"""Variances set by the user: they replace learned ones and stay fixed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,16 +16,16 @@ TOUCH = "touch"
 
 
 def check(settings: Estimation, joints: Sequence[str], tracks: Sequence[str]) -> None:
-    """UsageError where a table names a joint or a track that there is not."""
+    """UsageError for a table that names an unknown joint or track."""
     for key, names in (("sigma_encoders", joints), ("process", joints), ("sigma_vision", tracks)):
         given = getattr(settings, key)
         unknown = [name for name in given if name not in names] if isinstance(given, Mapping) else []
         if unknown:
-            raise UsageError(f"estimate.{key}: {unknown[0]!r} is none of {', '.join(names) or 'none'}")
+            raise UsageError(f"estimate.{key}: {unknown[0]!r} is not one of {', '.join(names) or 'none'}")
 
 
 def of_joints(given: float | Mapping[str, float] | None, joints: Sequence[str], learned: Array) -> Array:
-    """Variances (M,): those given for all joints, or by joint, else the learned ones."""
+    """Variances (M,): given for all joints or by joint, else the learned ones."""
     if given is None:
         return learned
     table = given if isinstance(given, Mapping) else dict.fromkeys(joints, given)
@@ -41,7 +41,7 @@ def of_track(settings: Estimation, name: str) -> float | None:
 
 
 def sightings(found: Sequence[Sighting], settings: Estimation) -> tuple[Sighting, ...]:
-    """The sightings with the variances that are given for them."""
+    """The sightings with the variances set for them."""
     return tuple(_as_given(one, of_track(settings, one.name)) for one in found)
 
 
@@ -50,7 +50,7 @@ def _as_given(sighting: Sighting, variance: float | None) -> Sighting:
 
 
 def precision(found: NoiseModel, settings: Estimation, joints: Sequence[str]) -> NoiseModel:
-    """The precisions with what is given in place of what was found; a given motion's covariance is stated in full."""
+    """The noise model with the variances that are set; with a process set, the full covariance is stated."""
     scale = {name: factor if of_track(settings, name) is None else 1.0 for name, factor in found.scale.items()}
     encoder = of_joints(settings.sigma_encoders, joints, found.encoder)
     if settings.process is None:
@@ -68,7 +68,7 @@ def precision(found: NoiseModel, settings: Estimation, joints: Sequence[str]) ->
 
 
 def remark(settings: Estimation, found: NoiseModel, sightings: Sequence[Sighting]) -> tuple[Finding, ...]:
-    """What `--precision fixed` used, and which variances were typed."""
+    """Finding on the variances that `--precision fixed` used, and on those that were set."""
     if settings.precision != "fixed" and not settings.typed:
         return ()
     pixels = {s.name: float(np.median(s.var)) * found.scale.get(s.name, 1.0) for s in sightings}
