@@ -12,7 +12,7 @@ from .faults.consistency import consistency_findings
 from .measurements import gather
 from .measurements.joint_limits import limit_findings
 from .measurements.joints_alone import joints_body, no_body_findings, reading_findings
-from .methods.choices import unheeded
+from .methods.choices import ignored_settings
 from .methods.finite import finite, solvable
 from .methods.table import METHODS
 from .noise import typed
@@ -44,7 +44,7 @@ def estimate(
         found = replace(found, settings={**found.settings, **told})
     weighed = [asdict(one) for one in timely.hypotheses] + list(found.settings.get("hypotheses", ()))
     found = replace(found, settings={**found.settings, "hypotheses": weighed} if weighed else found.settings)
-    remarks = (*timely.findings, *found.findings, *unheeded(settings), *consistency_findings(found, settings))
+    remarks = (*timely.findings, *found.findings, *ignored_settings(settings), *consistency_findings(found, settings))
     return replace(found, findings=remarks)
 
 

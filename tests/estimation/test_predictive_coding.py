@@ -214,15 +214,15 @@ def test_an_encoder_that_lies_is_cause_for_one(world):
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        (Estimation(method="kalman", bias="on"), ["bias: 'on' is not heeded by kalman; leave it out, or"]),
-        (Estimation(method="kalman", precision="model"), ["precision: 'model' is not heeded by kalman; leave it out"]),
-        (replace(DESCENT, bias="on"), ["bias: 'on' is not heeded by predictive-coding; leave it out"]),
+        (Estimation(method="kalman", bias="on"), ["bias: 'on' is ignored by kalman; leave it out, or"]),
+        (Estimation(method="kalman", precision="model"), ["precision: 'model' is ignored by kalman; leave it out"]),
+        (replace(DESCENT, bias="on"), ["bias: 'on' is ignored by predictive-coding; leave it out"]),
         (replace(DESCENT, precision="model"), []),
-        (replace(DESCENT, precision="model", preset="paper"), ["precision: 'model' is not heeded by predictive"]),
+        (replace(DESCENT, precision="model", preset="paper"), ["precision: 'model' is ignored by predictive"]),
         (Estimation(method="kalman", precision="fixed", bias="off"), []),
     ],
 )
 def test_settings_a_method_passes_by_are_said(world, settings, said):
     drawn = world(0, duration=4.0)
-    found = [f.text for f in estimate(drawn.features, drawn.body, settings).findings if "heeded" in f.text]
+    found = [f.text for f in estimate(drawn.features, drawn.body, settings).findings if "ignored by" in f.text]
     assert len(found) == len(said) and all(text.startswith(part) for text, part in zip(found, said, strict=True))

@@ -101,9 +101,9 @@ def test_what_there_is_not_is_refused_and_what_a_method_has_not_is_said(world):
     (text,) = (
         finding.text
         for finding in estimate(drawn.features, drawn.body, Estimation(method="kalman", process=1.0)).findings
-        if "heeded" in finding.text
+        if "ignored by" in finding.text
     )
-    assert text.startswith("process: 1.0 is not heeded by kalman")
+    assert text.startswith("process: 1.0 is ignored by kalman")
 
 
 def test_they_stand_in_robot_toml_and_come_back(tmp_path):

@@ -11,7 +11,7 @@ from ...types import Features, Finding
 from ..measurements.gather import chosen
 from .table import METHODS
 
-UNHEEDED = (("bias", "on"), ("precision", "model"))
+IGNORED = (("bias", "on"), ("precision", "model"))
 """Settings about faults and noise learning, which the paper's methods ignore."""
 
 
@@ -43,15 +43,15 @@ def _present(features: Features, body: BodyModel, wanted: set[str]) -> dict[str,
     return {"encoders": encoders, "vision": seen, "touch": felt and "touch" in wanted}
 
 
-def unheeded(settings: Estimation) -> tuple[Finding, ...]:
+def ignored_settings(settings: Estimation) -> tuple[Finding, ...]:
     """Warnings for settings that differ from their defaults and that the method ignores."""
     heeds = METHODS[settings.method].heeds if settings.preset != "paper" else frozenset[str]()
     typed = [key for key in settings.typed if key not in METHODS[settings.method].heeds]
     by = f"{settings.method}{' with the preset paper' * (settings.preset == 'paper')}"
-    ignored: dict[str, Any] = {name: value for name, value in UNHEEDED if name not in heeds}
+    ignored: dict[str, Any] = {name: value for name, value in IGNORED if name not in heeds}
     ignored = {name: value for name, value in ignored.items() if getattr(settings, name) == value}
     ignored |= {key: settings.typed[key] for key in typed}
     return tuple(
-        Finding("warning", f"{name}: {value!r} is not heeded by {by}; leave it out, or type --method laplace")
+        Finding("warning", f"{name}: {value!r} is ignored by {by}; leave it out, or type --method laplace")
         for name, value in ignored.items()
     )
