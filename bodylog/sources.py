@@ -6,7 +6,7 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 from .errors import ConfigError
-from .io.toml_keys import checked, declared, key
+from .io.toml_keys import checked, key
 
 Colour = str | Mapping[str, tuple[int, int, int]]
 """A name ("green"), or {"low": (h, s, v), "high": (h, s, v)} in OpenCV ranges; low h > high h wraps around red."""
@@ -202,12 +202,7 @@ def board_points(source: Source) -> list[tuple[float, float, float]] | None:
 def _source(kind: type[Source], value: Mapping[str, Any], where: str, label: str) -> Source:
     spelled_out = {"dictionary": _dictionary, "charuco": _board}
     given = {k: spelled_out.get(k, lambda one: one)(v) for k, v in value.items() if v is not None}
-    found = checked(kind, given, where, label)
-    known = declared(kind)
-    missing = [name for name, one in known.items() if one.default is MISSING and name not in found]
-    if missing:
-        raise ConfigError(f"{where}: {label} has no {missing[0]}; it must have {', '.join(known)}")
-    return _consistent(kind(**found), f"{where}: {label}")
+    return _consistent(kind(**checked(kind, given, where, label)), f"{where}: {label}")
 
 
 def _consistent(source: Source, key: str) -> Source:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,8 @@ LONGEST = 200
 class GroupTable:
     """[[group]]: one robot's logs; paths are relative to batch.toml."""
 
+    logs: tuple[str, ...] = key(MISSING, "Logs, folders, patterns or URLs.", noun="log")
     name: str = key("", "Name of the group and of its folder.", noun="name", unset="group1, group2, …")
-    logs: tuple[str, ...] = key((), "Logs, folders, patterns or URLs.", noun="log", unset="required")
     train: tuple[str, ...] = key((), "Logs to learn the body from, without body.", noun="log", unset="none")
     body: str | None = key(None, "Body model that fit wrote.", noun="file", unset="learned from train")
     methods: tuple[str, ...] = key(
@@ -52,7 +52,7 @@ def _groups(path: Path, number: int, values: Any, settings: Settings) -> list[Gr
         raise ConfigError(f"{where} is {shown(values)}; it must be a [[group]] table")
     table = GroupTable(**checked(GroupTable, values, where, ""))
     if not table.logs:
-        raise ConfigError(f'{where}: logs is missing; type, for example: logs = ["runs/*.mcap"]')
+        raise ConfigError(f'{where}: logs is empty; type, for example: logs = ["runs/*.mcap"]')
     chosen = merge(settings, table.settings, where)
     methods = table.methods or (chosen.estimate.method,)
     name = table.name or f"group{number + 1}"

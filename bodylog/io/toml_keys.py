@@ -66,12 +66,16 @@ def declared(table: type) -> Mapping[str, Declared]:
 
 
 def checked(table: type, values: Mapping[str, Any], where: str, section: str) -> dict[str, Any]:
-    """The given values by field, as the fields' types; ConfigError for an unknown key or an impossible value."""
+    """The given values by field, as the fields' types; ConfigError for an unknown, impossible or missing one."""
     known, found = declared(table), {}
     for name, value in values.items():
         label = f"{section}.{name}" if section else name
         require_known(name, list(known), where, f"key {label}")
         found[known[name].field] = _checked(known[name], value, f"{where}: {label}")
+    required = [name for name, one in known.items() if one.default is MISSING]
+    if missing := [name for name in required if name not in values]:
+        of = f"{where}: {section}" if section else where
+        raise ConfigError(f"{of} has no {missing[0]}; it must have {', '.join(required)}")
     return found
 
 
@@ -136,7 +140,7 @@ def _advice(about: Declared, value: Any) -> str:
     default = default_text(about)
     if about.default is MISSING:
         return "it is required"
-    return f"leave it out for: {default}" if about.default is None else f"default: {default}"
+    return f"leave it out for: {default}" if default == about.key.unset else f"type: {spell(about.field)} = {default}"
 
 
 def _possible(key: Key, value: Any) -> bool:
