@@ -55,12 +55,12 @@ def mean_nees(runs):
     """NEES of each joint over logs, with the largest standard error of the three: "0.95, 0.99, 0.99 ± 0.02"."""
     each = np.array([run.nees for run in runs])
     text = joined(each.mean(axis=0))
-    return text if len(each) == 1 else f"{text} ± {(each.std(axis=0, ddof=1) / np.sqrt(len(each))).max():.2f}"
+    return text if len(each) == 1 else f"{text} ± {joined([(each.std(axis=0, ddof=1) / np.sqrt(len(each))).max()])}"
 
 
-def joined(values, digits=".2f"):
-    """Figures with commas between them."""
-    return ", ".join(f"{value:{digits}}" for value in values)
+def joined(values):
+    """Figures with commas between them, those from ten on without decimals."""
+    return ", ".join(f"{value:.2f}" if value < 9.995 else f"{value:.0f}" for value in values)
 
 
 def rms(values):
