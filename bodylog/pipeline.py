@@ -106,7 +106,7 @@ def fit(
     known = None if update is None else storage.load(update)
     settings = settings if known is None else default_features.of_body(known, settings)
     robot_model.check(logs, settings)
-    digests, observed, remarks = [], [], list[Finding]()
+    digests, observed, camera_findings = [], [], list[Finding]()
     for log in logs:
         with Copy(log) as read_too:
             observed.append(observe(log, settings, progress, guess=True))
@@ -116,7 +116,7 @@ def fit(
     cameras = features[0].cameras.values() if known is None else known.provenance.get("cameras", ())
     for log, (read, found) in zip(logs, observed, strict=True):
         require_trainable(log, found, settings)
-        remarks += same_camera(log, cameras, read, found)
+        camera_findings += same_camera(log, cameras, read, found)
     origin = provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
     robot, unfit = robot_model.robot(logs, features, settings)
@@ -125,10 +125,10 @@ def fit(
     learned = replace(learned, model=robot_model.based(learned.model, robot, features))
     tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
     storage.save(learned.model, out)
-    found_too = (*findings, *remarks, *unfit, *learned.findings, *more)
+    findings = [*findings, *camera_findings, *unfit, *learned.findings, *more]
     scores = (*learned.scores, *tested)
     text = verdict.of_body(learned.model.joints, scores)
-    return Result(out, scores, _merged(observed), found_too, plain(settings), verdict=text)
+    return Result(out, scores, _merged(observed), tuple(findings), plain(settings), verdict=text)
 
 
 def _tested(
@@ -139,13 +139,13 @@ def _tested(
     from .estimation.timing import correction
 
     observed = [(log, *observe(log, settings, progress)) for log in logs]
-    remarks = [f for _, read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
+    findings = [f for _, read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
     for log, read, found in observed:
-        remarks += same_camera(log, learned.provenance.get("cameras", ()), read, found)
+        findings += same_camera(log, learned.provenance.get("cameras", ()), read, found)
     timely = [correction.shifted(found, correction.learned_delays(learned)) for _, _, found in observed]
-    with log_context(logs[0], remarks, len(logs) - 1):
+    with log_context(logs[0], findings, len(logs) - 1):
         scores, more = tested.score(learned, timely)
-    return scores, (*remarks, *more)
+    return scores, (*findings, *more)
 
 
 def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
@@ -173,13 +173,13 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
         written.about(
             origin | ({} if body is None else {"body_sha256": sha256(body)}) | estimate_metadata.describe(found)
         )
-    remarks = (*read.findings, *features.findings, *cameras, *found.findings, *fault_warnings(found.faults), *lost)
+    findings = (*read.findings, *features.findings, *cameras, *found.findings, *fault_warnings(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
-    return estimate_result(out, found, scores, health, remarks)
+    return estimate_result(out, found, scores, health, findings)
 
 
 def _estimated(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
-    """`infer`, its refusals told of the log, with what that lost."""
+    """`infer` and the checks around it; errors name the log and what it lost."""
     with log_context(log, read.findings):
         found = change_findings.compared(features, learned, infer(features, learned, settings), settings.estimate)
         found = effector_poses.added(learned, found)
@@ -199,8 +199,8 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     found = estimation.estimate(*understood, settings.time.delay)
     if "encoders" not in learned.senses or features.joints is None:
         return found
-    said = Finding("info", "encoders: read what the body has learned, no angles; rmse/encoders is left out")
-    return replace(found, settings={**found.settings, READ: "as learned"}, findings=(*found.findings, said))
+    left_out = Finding("info", "encoders: read what the body has learned, no angles; rmse/encoders is left out")
+    return replace(found, settings={**found.settings, READ: "as learned"}, findings=(*found.findings, left_out))
 
 
 def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result:
@@ -213,9 +213,9 @@ def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result
     read = with_true_poses(log, found, read)
     if truth is not None:
         read = against(truth, found, read, settings)
-    remarks = (*read.findings, *fault_warnings(found.faults), *truth_findings(found, read.truth))
+    findings = (*read.findings, *fault_warnings(found.faults), *truth_findings(found, read.truth))
     scores = score_estimate(found, read)
-    return estimate_result(log, found, scores, found.used, remarks)
+    return estimate_result(log, found, scores, found.used, findings)
 
 
 def ingest(

@@ -1,4 +1,4 @@
-"""What an estimate is judged by: truth kept beside the log, and everything that --fail-if may name."""
+"""Scores of an estimate, truth in a file beside the log, and everything that --fail-if may name."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +12,12 @@ def score_estimate(found: Estimate, read: Recording) -> tuple[Score, ...]:
     """Figures of merit; those against truth only where the recording carries it."""
     from .evaluation.scores import scores
 
-    told = scores(found, read.truth, read.joints)
+    found_scores = scores(found, read.truth, read.joints)
     if found.effector is None or read.truth_pose is None:
-        return told
+        return found_scores
     from .evaluation import poses
 
-    return (*told, *poses.scores(found.effector, read.truth_pose))
+    return (*found_scores, *poses.scores(found.effector, read.truth_pose))
 
 
 def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:

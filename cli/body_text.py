@@ -43,7 +43,7 @@ def _zeros(found: dict[str, Any]) -> Iterator[str]:
 
 
 def _noise(found: dict[str, Any]) -> Iterator[str]:
-    """Standard deviations of what is read, and densities of the motion, each with its standard error."""
+    """Standard deviations of measurements and densities of process noise, each with its standard error."""
     noise, errors = found["noise"], found["noise"]["std_error"]
     for joint, value, off in _beside(found["joints"], noise["encoder"], errors.get("encoder")):
         yield f"noise encoders {joint}: {_root(value, off)} rad"
@@ -62,7 +62,7 @@ def _beside(
 
 
 def _root(variance: float, off: float | None) -> str:
-    """A standard deviation, its standard error by the variance's."""
+    """A standard deviation with its standard error."""
     std = variance**0.5
     return f"{std:.4g}{_off(None if off is None else off / (2.0 * std))}"
 
@@ -79,7 +79,7 @@ def _touch(found: dict[str, Any]) -> Iterator[str]:
 
 
 def _provenance(values: dict[str, Any]) -> Iterator[str]:
-    """Where a body comes from; the settings, which are long, only with --json."""
+    """The provenance of a body, without its settings: --json has these."""
     for key, value in sorted(values.items()):
         for item in () if key == "settings" else value if isinstance(value, list) else [value]:
             yield f"{key}: {' '.join(map(str, item)) if isinstance(item, list) else item}"

@@ -100,7 +100,7 @@ def _verbosity(short: str, long: str, level: int, help_: str) -> click.Option:
 )
 @click.version_option(__version__, prog_name="bodylog")
 def bodylog() -> None:
-    """Where was the robot's body, how sure is that, and which sensor lied: from any log (.bag, rosbag2, .mcap)."""
+    """Where a robot's body was, how sure that is, and which sensor is faulty: from any log (.bag, rosbag2, .mcap)."""
 
 
 for _command in (command for commands in GROUPS.values() for command in commands):

@@ -1,4 +1,4 @@
-"""Where a command reads and writes, by its options: no output is an input; URLs are fetched once that is known."""
+"""Inputs and outputs of a command, by its options: no output may be an input; URLs are fetched after that check."""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command, refused before it reads anything where an output is an input or cannot be written."""
+    """Reject the command before it reads anything where an output is an input or cannot be written."""
 
     @functools.wraps(command)
     def checked(**given: Any) -> Any:
@@ -46,7 +46,7 @@ def _outputs(params: list[click.Parameter], given: dict[str, Any]) -> "Iterator[
 
 
 def _inputs(params: list[click.Parameter], given: dict[str, Any]) -> Iterator[Path]:
-    """Everything that a path-like option names but outputs: files, and what is behind file:// URLs.
+    """Every path that an option names apart from outputs; of file:// URLs the file.
 
     The folders that a batch searches are no inputs; the logs found in them are, which it says itself.
     """

@@ -51,7 +51,7 @@ class Numbers(NumbersType):
     metavar="CONSTANT=VALUE",
     help="Judge in this reading alone, as sigma_n=noise; repeatable.",
 )
-@click.option("--asynchrony", type=Numbers(0.0, 5.0), help="rubber-hand: how late the hand is seen, s.")
+@click.option("--asynchrony", type=Numbers(0.0, 5.0), help="rubber-hand: delay of the seen hand, s.")
 @click.option("--displacement", type=Numbers(0.01, 5.0), help="rubber-hand: how far aside, in the recorded 16 cm.")
 @click.option("--noise", type=Numbers(0.0, 3.0), help="rubber-hand: noise added to the encoders, rad.")
 @click.option("--data", type=PATH, help="real: the folder with real robots' measurements (docs/real.md).")
@@ -94,7 +94,7 @@ def _reading(constants: tuple[str, ...]) -> "Reading | None":
 
 
 def _setting(swept: dict[str, tuple[float, ...] | None]) -> "Setting":
-    """What the rubber hand sweeps: as typed, else as it is documented."""
+    """The values that the rubber hand sweeps: typed ones or the defaults."""
     from dataclasses import replace
 
     from bodylog.experiments import Setting
@@ -103,11 +103,11 @@ def _setting(swept: dict[str, tuple[float, ...] | None]) -> "Setting":
 
 
 def _teller() -> "Callable[[str, int, int], None]":
-    """A line for each run that is done, with the minutes since the first began."""
-    begun = monotonic()
+    """A line for each run that is done, with the minutes since the first run started."""
+    started = monotonic()
 
     def tell(what: str, done: int, total: int) -> None:
-        click.echo(f"[{done}/{total}] {what}, {(monotonic() - begun) / 60:.1f} min", err=True)
+        click.echo(f"[{done}/{total}] {what}, {(monotonic() - started) / 60:.1f} min", err=True)
 
     return tell
 

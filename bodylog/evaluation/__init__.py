@@ -1,1 +1,1 @@
-"""Evaluation: how good an estimate is, with and without truth, and bounds on that."""
+"""Evaluation: scores of an estimate with and without truth, and bounds on them."""

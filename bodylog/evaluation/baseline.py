@@ -1,4 +1,4 @@
-"""Today's scores held against those of an earlier batch: worse than the tolerance is a broken bound."""
+"""Scores compared with those of an earlier batch: an error that grew beyond the tolerance breaks a bound."""
 
 import re
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What bounds may be set on beside scores: faults by kind and joint, delays, shares used."""
+"""Figures that bounds may name beside scores: faults by kind and joint, delays, shares used."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,24 +10,24 @@ KINDS = ("encoder_offset", *OFFSET, "frozen", "dead")
 SIZELESS = ("frozen", "dead")
 """Kinds of an encoder's fault without a size."""
 SOUGHT = ("encoder_offset", "drifting", "offset")
-"""Kinds that only images show, and only to methods that look for them: else there is no saying, NaN."""
+"""Kinds found only with images, by methods that look for them; otherwise NaN."""
 FIRST = 1.0
-"""s: an encoder that is certainly off so soon was so before."""
+"""s: an encoder that is certainly off this early was off from the start."""
 DISPLACED = "displaced"
 """Kind of a fault that is a camera's, all of whose tracks are displaced."""
 CAMERA = "camera"
 """Name of the first camera, whose tracks are named plainly."""
 EITHER = " or "
-"""Between the names of joints of which one lies."""
+"""Between the names of joints one of which is faulty."""
 
 
 def figures(found: Estimate) -> tuple[Score, ...]:
-    """Everything a bound may name that no score says: 0 for a fault, or a delay, that was not found."""
+    """Figures beside the scores: 0 for a fault or delay that was not found."""
     return (*_faults(found), *_delays(found), *_shares(found))
 
 
 def _faults(found: Estimate) -> Iterator[Score]:
-    """Of each kind and joint or track the greatest size, 1 for faults without one, NaN where nothing can be said."""
+    """The largest size per kind and joint or track; 1 for faults without a size, NaN where none can be found."""
     yield Score("faults", float(len(found.faults)), "1")
     tracks = [name for name in found.used if name not in ("encoders", "touch")]
     sought = found.can.repairs and any(found.used[name].used for name in tracks)
@@ -60,7 +60,7 @@ def _kinds(fault: Fault) -> tuple[str, ...]:
 
 
 def _delays(found: Estimate) -> Iterator[Score]:
-    """Seconds by which each camera was late."""
+    """Delay of each camera, s."""
     known = found.settings.get("delay", {})
     cameras = [name.rpartition("/")[0] or "camera" for name in found.used if name not in ("encoders", "touch")]
     for name in dict.fromkeys((*cameras, *(known if isinstance(known, dict) else ()))):

@@ -1,4 +1,4 @@
-"""Pictures withheld from an estimate, and how probable it holds what they show: a score that needs no truth."""
+"""Log density of images withheld from an estimate: a score without truth."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,7 +9,7 @@ from ..body_model import BodyModel
 from ..types import Array, Estimate, Features, Score, Series
 
 EVERY = 5
-"""One picture in so many is withheld."""
+"""One image in so many is withheld."""
 
 
 def withhold(features: Features) -> tuple[Features, Mapping[str, Series]]:
@@ -36,7 +36,7 @@ def held_out(estimate: Estimate, withheld: Mapping[str, Series], body: BodyModel
 
 
 def _nats(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> Array:
-    """Log density (F,) of a track's withheld places under what was foretold of them."""
+    """Log density (F,) of a track's withheld places under their prediction."""
     if name in estimate.predicted:
         known = estimate.predicted[name]
         rows = np.minimum(np.searchsorted(known.t, seen.t), len(known.t) - 1)

@@ -25,12 +25,13 @@ def scores(found: Poses, truth: Poses) -> tuple[Score, ...]:
     place = np.column_stack([np.interp(t, found.t, column) for column in found.place.T])
     near = np.where(t - found.t[before] > found.t[np.minimum(before + 1, len(found.t) - 1)] - t, before + 1, before)
     near = np.minimum(near, len(found.t) - 1)
-    told = [*_scored("effector_position", truth.place[rows] - place, None if cov is None else cov[near, :3, :3], "m")]
+    position = None if cov is None else cov[near, :3, :3]
+    both = _scored("effector_position", truth.place[rows] - place, position, "m")
     turned = np.isfinite(truth.turn[rows]).all(axis=1)
     if turned.any():
         error = _turns(_between(found, t[turned], before[turned]), truth.turn[rows][turned])
-        told += _scored("effector_rotation", error, None if cov is None else cov[near[turned], 3:, 3:], "rad")
-    return tuple(told)
+        both += _scored("effector_rotation", error, None if cov is None else cov[near[turned], 3:, 3:], "rad")
+    return tuple(both)
 
 
 def _inside(t: Array, known: Array) -> Array:

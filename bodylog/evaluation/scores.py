@@ -1,4 +1,4 @@
-"""Figures of merit: how far the belief is from the truth, and whether its error bars are true."""
+"""Scores of an estimate: its error against the truth, whether its error bars are true, what it used."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -11,7 +11,7 @@ SAME = 1e-6
 
 
 READ = "encoders_read"
-"""Setting of an estimate that says what its encoders read, where that is no angle: they are not held to true angles."""
+"""Setting of an estimate whose encoders read another function of the angle: they are not compared with true angles."""
 
 
 def scores(estimate: Estimate, truth: Series | None, joints: Series | None) -> tuple[Score, ...]:
@@ -53,7 +53,7 @@ def _normalised(error: Array, cov: Array) -> Array:
 
 
 def encoder_scores(estimate: Estimate, truth: Series, joints: Series, names: list[str]) -> list[Score]:
-    """RMSE of the raw encoders over the estimate's time span, the figure to beat."""
+    """RMSE of the raw encoders over the estimate's time span."""
     names = [name for name in names if name in joints.names]
     span = (joints.t >= estimate.joints.t[0]) & (joints.t <= estimate.joints.t[-1])
     rows = span & overlap(joints.t, truth)
@@ -65,10 +65,10 @@ def encoder_scores(estimate: Estimate, truth: Series, joints: Series, names: lis
 
 
 def own_scores(estimate: Estimate) -> list[Score]:
-    """What needs no truth: evidence, errors in px and standardised, and observations used per sense.
+    """Scores without truth: evidence, innovations in px and normalised, measurements used per sense.
 
-    log_evidence sums what each reading was foretold with, by those before it: compare it between estimates that heard
-    the same readings.
+    log_evidence is the log density of each measurement given those before: compare it between estimates of the same
+    measurements.
     """
     found = [Score("free_energy", float(np.mean(estimate.free_energy)), "nats")] if len(estimate.free_energy) else []
     if estimate.can.density:
@@ -83,26 +83,26 @@ def own_scores(estimate: Estimate) -> list[Score]:
 
 
 def precision_scores(estimate: Estimate) -> list[Score]:
-    """What was taken for noise: each joint's encoder_std and process, and by how much a track's variance was scaled."""
-    names, said = estimate.joints.names, estimate.settings
-    found = [Score(f"std/encoders/{n}", v**0.5, "rad") for n, v in _each(names, said.get("encoder"))]
-    if READ not in said:
-        found += [Score(f"std/encoders/{n}", v**0.5, "rad") for n, v in _each(names, said.get("sigma_encoders"))]
-    kind, unit = ("jerk", "rad²/s⁵") if said.get("order") == 3 else ("acceleration", "rad²/s³")
-    found += [Score(f"process_noise/{kind}/{n}", v, unit) for n, v in _each(names, said.get("process"))]
-    scale = said.get("scale")
+    """The noise that the estimate assumes: per joint of encoder and motion, and the factor on each track's variance."""
+    names, settings = estimate.joints.names, estimate.settings
+    found = [Score(f"std/encoders/{n}", v**0.5, "rad") for n, v in _each(names, settings.get("encoder"))]
+    if READ not in settings:
+        found += [Score(f"std/encoders/{n}", v**0.5, "rad") for n, v in _each(names, settings.get("sigma_encoders"))]
+    kind, unit = ("jerk", "rad²/s⁵") if settings.get("order") == 3 else ("acceleration", "rad²/s³")
+    found += [Score(f"process_noise/{kind}/{n}", v, unit) for n, v in _each(names, settings.get("process"))]
+    scale = settings.get("scale")
     factors = sorted(scale.items()) if isinstance(scale, Mapping) else ()
     return found + [Score(f"variance_factor/{n}", v, "1") for track, v in factors for n, v in _each((track,), [v])]
 
 
 def _each(names: Sequence[str], values: object) -> Iterator[tuple[str, float]]:
-    """Each name's variance out of a list as a log says it; nothing for anything else."""
+    """Each name with its variance, if `values` is a list of them."""
     if isinstance(values, list | tuple) and len(values) == len(names):
         yield from ((n, float(v)) for n, v in zip(names, values, strict=True) if isinstance(v, int | float) and v >= 0)
 
 
 def track_scores(estimate: Estimate) -> list[Score]:
-    """RMSE (px) of each track's sightings against the place predicted before them."""
+    """RMSE (px) of each track against its prediction before the measurement."""
     found = []
     for name, predicted in sorted(estimate.predicted.items()):
         errors = estimate.errors.get(name)
@@ -115,7 +115,7 @@ def track_scores(estimate: Estimate) -> list[Score]:
 
 
 def at_times(truth: Series, names: list[str], t: Array) -> Array:
-    """The truth (N,len(names)) rad between its stamps."""
+    """The truth (N,len(names)) rad, interpolated at times t (N,) s."""
     order = np.argsort(truth.t, kind="stable")
     columns = truth.values[order][:, [truth.names.index(name) for name in names]]
     return np.stack([np.interp(t, truth.t[order], column) for column in columns.T], axis=1)

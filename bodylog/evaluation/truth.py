@@ -26,7 +26,7 @@ must be for that."""
 
 
 def load(path: Path, start_ns: int, joints: Series | None) -> Series:
-    """The truth in a file, t in s since `start_ns`; what an archive does not name is told by the readings `joints`.
+    """The truth in a file, t in s since `start_ns`; an archive's unnamed columns are matched to the readings `joints`.
 
     InputError where it is no such file, or has no times or no angles.
     """
@@ -84,10 +84,10 @@ def _table(path: Path, start_ns: int) -> Series:
     if bad is not None:
         raise ValueError(f"line {bad} has {len(rows[bad - 1])} columns, the first has {len(header)}")
     others = tuple(name for name in header if name != time)
-    told = [row[header.index(time)].strip() for row in rows[1:]]
+    times = [row[header.index(time)].strip() for row in rows[1:]]
     cells = [[_number(row[header.index(name)]) for name in others] for row in rows[1:]]
-    values = np.array(cells).reshape(len(told), -1)
-    return Series(_times(told, start_ns), values, others, "rad", np.zeros(len(told), np.int64))
+    values = np.array(cells).reshape(len(times), -1)
+    return Series(_times(times, start_ns), values, others, "rad", np.zeros(len(times), np.int64))
 
 
 def _number(text: str) -> float:
@@ -103,8 +103,8 @@ def _archive(path: Path, start_ns: int, joints: Series | None) -> Series:
         size = sum(member.file_size for member in archive.infolist())
     if size > MOST_BYTES:
         raise ValueError(f"{size} bytes unpacked, at most {MOST_BYTES} are read")
-    with np.load(path, allow_pickle=False) as said:
-        arrays = {name: said[name] for name in said.files}
+    with np.load(path, allow_pickle=False) as archived:
+        arrays = {name: archived[name] for name in archived.files}
     t = np.asarray(arrays[_named(TIMES, list(arrays))]).ravel()
     begin = next((name for name in STARTS if name in arrays), None)
     if begin is not None and abs(float(t.max(initial=0.0))) < EPOCH[-1][0]:
@@ -128,10 +128,10 @@ def _angles(arrays: Mapping[str, Array], t: Array, joints: Series | None) -> tup
         if given.shape != (values.shape[1],):
             raise ValueError(f"{given.shape[0]} names for {values.shape[1]} columns")
         return values, tuple(str(name) for name in given)
-    return values, _alike(values, t, joints)
+    return values, _names_by_readings(values, t, joints)
 
 
-def _alike(values: Array, t: Array, joints: Series | None) -> tuple[str, ...]:
+def _names_by_readings(values: Array, t: Array, joints: Series | None) -> tuple[str, ...]:
     """Names of the columns (N,M), by which joint's readings they follow; ValueError where that is not plain."""
     from scipy.optimize import linear_sum_assignment
 
@@ -158,13 +158,13 @@ def _named(possible: tuple[str, ...], found: list[str]) -> str:
     raise ValueError(f"found {', '.join(found[:20])}; one of {', '.join(possible)} is needed")
 
 
-def _times(told: list[str], start_ns: int) -> Array:
+def _times(times: list[str], start_ns: int) -> Array:
     """Times (N,) s since start_ns; whole numbers of ns are taken as they are, for a float would round them."""
-    first = abs(float(told[0])) if told else 0.0
+    first = abs(float(times[0])) if times else 0.0
     unit = next((ns for least, ns in EPOCH if first > least), None)
     if unit is None:
-        return np.array([float(one) for one in told])
-    if unit == 1.0 and all(one.lstrip("-").isdigit() for one in told):
-        return np.array([(int(one) - start_ns) / 1e9 for one in told])
-    return np.array([float(one) * unit / 1e9 - start_ns / 1e9 for one in told])
+        return np.array([float(one) for one in times])
+    if unit == 1.0 and all(one.lstrip("-").isdigit() for one in times):
+        return np.array([(int(one) - start_ns) / 1e9 for one in times])
+    return np.array([float(one) * unit / 1e9 - start_ns / 1e9 for one in times])
 

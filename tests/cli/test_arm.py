@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 ATTAINABLE = {"reach.mcap": (0.0074, 0.0028), "reach.bag": (0.0072, 0.0030), "reach_rosbag2": (0.0072, 0.0030)}
-"""RMSE in rad of a filter and a smoother that were told the true camera, noise and process (from the arm's README)."""
+"""RMSE in rad of a filter and a smoother given the true camera, noise and process (from the arm's README)."""
 
 
 def _json(capsys, run_cli, *arguments):

@@ -1,4 +1,4 @@
-"""Two cameras on the command line: recorded, learned, used, written, shown; and what is said when one is blind."""
+"""Two cameras on the command line: recorded, learned, used, written, shown; and the message when one is blind."""
 
 import json
 

@@ -23,7 +23,7 @@ with bodylog.logs.open({str(LOG)!r}) as log:
 
 @pytest.mark.parametrize("script", [INFO, READ])
 def test_nothing_heavy_is_imported(script):
-    assert not _heavy(script) - _heavy("import numpy, sys")  # NumPy 1 imports some of these by itself
+    assert not _heavy(script) - _heavy("import numpy, sys")  # NumPy 1 imports some of these
 
 
 def _heavy(script):

@@ -136,3 +136,28 @@ def test_help_lists_every_command_once_with_its_whole_summary(capsys, run_cli) -
         summary = command.get_short_help_str(limit=200)
         assert len(summary) < 55 and "..." not in summary
         assert any(line.split(maxsplit=1) == [command.name, summary] for line in lines), command.name
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("bodylog est", {"estimate"}),
+        ("bodylog estimate --method ", {"laplace", "smoother", "ekf", "kalman", "predictive-coding"}),
+        ("bodylog estimate --prec", {"--precision"}),
+    ],
+)
+def test_the_shell_completes_commands_options_and_choices(words: str, expected: set[str]) -> None:
+    asked = {"_BODYLOG_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    command = [sys.executable, "-c", "import bodylog_cli; bodylog_cli.main()"]
+    done = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, {line.partition(",")[2] for line in done.stdout.splitlines()}) == (0, expected)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_lines_of_the_page_give_a_completion_script(shell: str) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "cli.md").read_text()
+    assert f"_BODYLOG_COMPLETE={shell}_source bodylog" in page
+    command = [sys.executable, "-c", "import bodylog_cli; bodylog_cli.main()"]
+    environment = {**os.environ, "_BODYLOG_COMPLETE": f"{shell}_source"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and f"_BODYLOG_COMPLETE={shell}_complete" in done.stdout

@@ -40,7 +40,7 @@ def _started(typed):
 
 
 def _shown(process, number, folder):
-    """What a command says that is told to stop once there is something half-written."""
+    """Standard error of a command stopped once something is half-written."""
     while process.poll() is None and not list(folder.rglob(".*.part")):
         time.sleep(0.001)
     process.send_signal(number)
@@ -148,7 +148,7 @@ COMMANDS = {
 @pytest.mark.soak
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_ends_in_time_whenever_it_is_stopped(tmp_path, robot, name):
-    """Once it has begun: in Python's own start a signal does what it does to Python."""
+    """After its start: while Python itself starts, a signal ends Python."""
     rng = random.Random(name)
     for k in range(24):
         number = rng.choice([signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
@@ -164,7 +164,7 @@ def test_every_command_ends_in_time_whenever_it_is_stopped(tmp_path, robot, name
             printed = process.communicate(timeout=60)[1]
             seconds = time.monotonic() - started
         if process.returncode in (0, -number) or printed.rstrip().endswith("KeyboardInterrupt"):
-            continue  # it was done before, or had not begun
+            continue  # it ended before, or had not started
         ends = [line for line in printed.splitlines() if "nothing half-written was left" in line]
         assert (process.returncode, len(ends)) == (128 + number, 1) and "Traceback" not in printed, printed
         assert seconds < 2 and not [*out.rglob(".*.part"), *temporary.glob("bodylog-*"), *temporary.rglob("*.part")]

@@ -1,4 +1,4 @@
-"""Withheld pictures: which are taken, and that the better foretold ones score higher, by the textbook's density."""
+"""Withheld images: which ones, and that better predictions score higher, by the textbook's density."""
 
 from dataclasses import replace
 
