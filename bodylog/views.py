@@ -144,16 +144,16 @@ def _tidied(log: Path, out: Path, settings: Settings, refused: LogError) -> tupl
     with suppress(LogError):
         if not ours:
             lost = ingest(log, out, settings).findings
-            said = f"{str(refused).partition('; type: ')[0]}; its joints, skin and pictures alone are shown"
-            return out, (*lost, Finding("warning", said))
+            text = f"{str(refused).partition('; type: ')[0]}; its joints, skin and images alone are shown"
+            return out, (*lost, Finding("warning", text))
     raise refused
 
 
 def _left_out(log: Path, unshown: Mapping[str, str], cameras: "Mapping[str, Camera]") -> list[Finding]:
     """Warnings about entities that Rerun cannot show and that no camera replaces."""
     brought = {camera.entity for camera in cameras.values() if camera.frames is not None}
-    said = {entity: why for entity, why in unshown.items() if entity not in brought}
-    return [Finding("warning", f"{log}: {name}: left out, Rerun cannot show it: {why}") for name, why in said.items()]
+    left = {entity: why for entity, why in unshown.items() if entity not in brought}
+    return [Finding("warning", f"{log}: {name}: left out, Rerun cannot show it: {why}") for name, why in left.items()]
 
 
 def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Finding, ...]]:
@@ -247,9 +247,9 @@ def _offered(one: "Candidate", arm: bool) -> dict[str, Any]:
 
 
 def _caption(row: Mapping[str, Any]) -> str:
-    said = f"{row['name']}: in {row['seen']:.0%} of the images, joints explain {row['explained']:.0%}"
+    text = f"{row['name']}: in {row['seen']:.0%} of the images, joints explain {row['explained']:.0%}"
     also = "also moves as the joints do" if row["why_not"] is None else row["why_not"]
-    return f"{said}; the arm's: {row['line']}" if row["arm"] else f"{said}; {also}"
+    return f"{text}; the arm's: {row['line']}" if row["arm"] else f"{text}; {also}"
 
 
 def _figures(

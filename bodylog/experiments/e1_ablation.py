@@ -22,7 +22,7 @@ OURS = {"v": ("vision",), "p1+p3+v": ("shoulder_pan_joint", "elbow_joint", "visi
 OFF = 0.15
 """rad: initial error of every joint's belief."""
 SIDEWAYS = (True, True, False)
-"""The elbow rests, in exploration and in the test."""
+"""The elbow does not move, in exploration and in the test."""
 FAST, SLOW = "4", "60"
 """s: the periods of fast and slow dynamics that are compared."""
 CONCERNED = ("sigma_n", "sigma_v", "mu_x", "integration", "speed", "noise")

@@ -1,6 +1,6 @@
 """E2, non-linear proprioception: encoders read the square of the angle; the belief starts wrong, one sign included.
 
-The arm rests for 5 s and then moves, as in the paper.
+The arm stands still for 5 s and then moves, as in the paper.
 """
 
 from collections.abc import Iterator, Sequence
@@ -114,7 +114,7 @@ def squared(body: BodyModel) -> BodyModel:
 def descended(
     observed: ObservedLog, body: BodyModel, senses: tuple[str, ...], start: tuple[float, ...]
 ) -> tuple[Belief, float]:
-    """Our predictive coding from `start`, and its mean free energy (nats) while the arm rests."""
+    """Our predictive coding from `start`, and its mean free energy (nats) while the arm stands still."""
     settings = Estimation(method="predictive-coding", senses=senses, start=start)
     found = estimated(observed, body, settings)
     rest = (found.joints.t >= BEGINS / 2) & (found.joints.t < BEGINS)

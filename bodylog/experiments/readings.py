@@ -112,7 +112,7 @@ CONSTANTS: dict[str, Constant] = {
             "best": "what g_t is where the hand is at the effector, a_1 a_2 f_t",
             "peak": "a_1 a_2 at every touch, in time or not", "touched": "1 at every touch",
         },
-        "a touch in time with what is seen then has no error where the hand is at the effector",
+        "a touch in time with its stroke then has no error where the hand is at the effector",
     ),
     "sigma_t": Constant(
         "σ_t", "σ_t, never printed", "Eq. xwithtouch",

@@ -108,19 +108,19 @@ def _without(source: Path, out: Path, columns: Sequence[str]) -> None:
 ROBOTS: dict[str, Robot] = {
     "NAO": Robot(
         ("nao/left_train.csv", "nao/left_test.csv", "nao/nao.urdf"), nao,
-        "500 withheld poses of a NAO are foretold better than by the published calibration", "RMS distance", "px", 2.13,
+        "500 withheld poses of a NAO: errors are below the published calibration's", "RMS distance", "px", 2.13,
         "the same 250 poses to learn from, the same 500 withheld, the same robot model",
         "published: kinematic parameters alone; ours: kinematics and a Gaussian process on what it leaves",
     ),
     "Motoman": Robot(
         ("motoman/leica_left_hand_6x6x6.csv",), motoman,
-        "72 withheld poses of a Motoman are foretold to 0.85 px per axis", "RMS error per axis", "px", 0.85,
+        "72 withheld poses of a Motoman are predicted to 0.85 px per axis", "RMS error per axis", "px", 0.85,
         "the poses of the published data set; a prototype of a Gaussian process reached 0.72 to 0.81 px on such splits",
         "no figure on this split is published: the bound is the prototype's; repeated poses scatter by 0.3 to 0.5 px",
     ),
     "Panda": Robot(
         ("panda/panda.urdf", "panda/real_new/poses.csv"), panda,
-        "withheld images of a Panda: the board's corners are foretold to 1 px", "RMS error per axis", "px", 1.0,
+        "withheld images of a Panda: the board's corners are predicted to 1 px", "RMS error per axis", "px", 1.0,
         "the images of the published data set; a prototype with joint offsets reached 0.85 and 0.43 px in five folds",
         "no figure is published: the bound is above the prototype's; one fold here, five there",
     ),

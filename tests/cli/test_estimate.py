@@ -87,7 +87,7 @@ def test_a_fault_is_on_its_topic_and_on_the_page(tmp_path, capsys, run_cli, drif
     assert run_cli("report", drift, "-o", tmp_path / "page.html") == 0
     page = (tmp_path / "page.html").read_text()
     assert "<th>std/encoders</th>" in page and "<th>process_noise/acceleration</th>" in page
-    table = page[page.index("Which sensor lied") :]
+    table = page[page.index("Sensor faults") :]
     assert table.index("shoulder_pan_joint") < table.index("drifting") < table.index(f"{fault.size:.4g} rad") < 1500
 
 

@@ -84,7 +84,7 @@ def test_a_sheet_is_one_png_of_all_pictures_and_the_same_twice(tmp_path):
 
 
 def test_a_sheet_of_nothing_or_of_another_kind_is_refused(tmp_path):
-    with pytest.raises(UsageError, match="no pictures"):
+    with pytest.raises(UsageError, match="no images"):
         overlay_sheet((), tmp_path / "a.png")
     with pytest.raises(UsageError, match=r"type: .*a\.png"):
         overlay_sheet(pictures(recording(), features(), estimate(), 1), tmp_path / "a.jpg")

@@ -193,7 +193,7 @@ def test_of_a_log_that_rerun_refuses_whole_what_plays_a_role_is_shown(run_cli, t
     assert run_cli("view", log, "-o", out) == 0
     (said,) = [line for line in capsys.readouterr().err.splitlines() if "Rerun" in line]
     assert said.startswith(f"warning: {log}: Rerun cannot read it (Failed to load MCAP file: Invalid schema broken")
-    assert said.endswith("its joints, skin and pictures alone are shown")
+    assert said.endswith("its joints, skin and images alone are shown")
     assert len(values(out, "/joint_states/position", "Scalars:scalars")[0]) == 5
     write(log, [broken])
     assert run_cli("view", log, "-o", out) == 65

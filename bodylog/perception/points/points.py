@@ -144,7 +144,7 @@ def _first(frames: Callable[[], Iterator[Frame]], point: PointSource, key: str) 
     """The patch about a point in the frame nearest its time."""
     frame = min(frames(), key=lambda frame: abs(frame.t - point.at), default=None)
     if frame is None or abs(frame.t - point.at) > _LATE:
-        nearest = "there is none" if frame is None else f"the nearest is at {frame.t:.3f} s"
+        nearest = "the log has no image" if frame is None else f"the nearest is at {frame.t:.3f} s"
         raise EvidenceError(f"{key}.at is {point.at:g} s, but no image was taken then: {nearest}")
     image, uv = gray(frame.decode(1)), np.array(point.point)
     height, width = image.shape

@@ -62,7 +62,7 @@ class Zero:
 
     @property
     def shown(self) -> tuple[str, str]:
-        """Value ± std in degrees and rad, or in mm and m; or why there is none."""
+        """Value ± std in degrees and rad, or in mm and m; or why it is not identifiable."""
         if self.value is None:
             return f"not identifiable: {' and '.join(self.confused) or 'not seen'}", ""
         factor, unit = (degrees(1.0), "°") if self.unit == "rad" else (1e3, " mm")

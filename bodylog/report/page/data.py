@@ -31,7 +31,7 @@ def plain(panels: Sequence[Panel], marks: Sequence[dict[str, Any]], duration: fl
 
 
 def marks(features: Features, estimate: Estimate) -> list[dict[str, Any]]:
-    """What every panel shows in its background: touches, strokes, and the moment each fault began."""
+    """Marks in the background of every panel: touches, strokes, and the start of each fault."""
     felt = [(x.onset, x.offset, "felt") for x in (features.touches or ())[:EVENTS]]
     seen = [(x.start, x.end, "seen") for x in features.strokes[:EVENTS]]
     faults = [(x.since, x.since, "fault") for x in estimate.faults[:EVENTS]]
@@ -40,7 +40,7 @@ def marks(features: Features, estimate: Estimate) -> list[dict[str, Any]]:
 
 
 def embedded(values: Any) -> str:
-    """JSON that no parser of HTML mistakes for a tag, an entity or the end of a line; the same for the same values."""
+    """JSON without characters that HTML treats as tags, entities or line ends; deterministic."""
     text = json.dumps(values, ensure_ascii=True, allow_nan=False, sort_keys=True, separators=(",", ":"))
     return text.translate(_DANGEROUS)
 
@@ -60,7 +60,7 @@ def _panel(panel: Panel, span: list[float], points: int) -> dict[str, Any]:
 
 
 def _trace(trace: Trace, span: list[float], points: int) -> dict[str, Any]:
-    """The trace thinned, t as uint32 shares of the span and y as float32, both little endian."""
+    """The thinned trace: t as uint32 shares of the span and y as float32, both little endian."""
     look = {"name": trace.name, "ink": trace.ink, "kind": trace.kind}
     if trace.high is not None:
         t, low, high = envelope(trace.t, trace.y, trace.high, points)
@@ -75,5 +75,5 @@ def _ticks(t: Array, span: list[float]) -> str:
 
 
 def _floats(y: Array) -> str:
-    drawable = np.abs(y) < float(np.finfo(np.float32).max)  # what float32 cannot hold is a gap
+    drawable = np.abs(y) < float(np.finfo(np.float32).max)  # values beyond float32 become gaps
     return base64.b64encode(np.where(drawable, y, np.nan).astype("<f4").tobytes()).decode()

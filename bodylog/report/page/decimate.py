@@ -1,4 +1,4 @@
-"""Fewer points that look the same: every bin keeps its lowest and highest value, and its gaps."""
+"""Decimation that keeps a plot's look: every bin keeps its lowest and highest value, and its gaps."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def extremes(values: Array, points: int) -> Array:
 
 
 def envelope(t: Array, low: Array, high: Array, points: int) -> tuple[Array, Array, Array]:
-    """t, low, high (n,) in at most `points` bins: a band that is never narrower than the whole one."""
+    """t, low, high (n,) in at most `points` bins: a band never narrower than the full one."""
     if len(t) <= points:
         return t, low, high
     starts = np.unique(np.linspace(0, len(t), points, endpoint=False).astype(np.int64))

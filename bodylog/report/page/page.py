@@ -1,4 +1,4 @@
-"""The report: one self-contained HTML page about one log, its estimate and how far to trust it."""
+"""The report: one self-contained HTML page about one log, its estimate and its reliability."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ def write(
     pictures: Sequence[Picture],
     provenance: Mapping[str, str],
 ) -> None:
-    """Write the page to `out`, whole or not at all: no network, the same bytes for the same input."""
+    """Write the page to `out`, atomically: no network, the same bytes for the same input."""
     drawn = panels(recording, features, estimate)
     groups = [plain(drawn, marks(features, estimate), recording.duration_s)] if drawn else []
     zeros = reprojection.zeros(estimate.settings.get("offsets"))

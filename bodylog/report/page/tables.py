@@ -1,4 +1,4 @@
-"""The words and tables of the page; everything a log says is escaped here."""
+"""The text and tables of the page; all text from a log is escaped here."""
 
 import html
 import json
@@ -17,20 +17,20 @@ _ROWS, _WORD, _TEXT = 200, 200, 40_000
 
 
 class Moment(NamedTuple):
-    """A cell of a table that leads to its moment (s) in the plots."""
+    """A table's cell that links to a time span (s) in the plots."""
 
     start: float
     end: float
 
 
 def escaped(text: str, longest: int = _WORD) -> str:
-    """Text from a log as text of a page: no tags, no control or direction characters, not endless."""
+    """Text from a log, escaped for a page: no tags, no control or direction characters, limited length."""
     clean = "".join(c if c.isprintable() or c == "\n" else "\ufffd" for c in text)
     return html.escape(clean if len(clean) <= longest else clean[: longest - 1] + "…")
 
 
 def header(recording: Recording, estimate: Estimate, scores: Sequence[Score]) -> str:
-    """Which log, when, how long, by which method, and the scores as cards."""
+    """Log, start, duration, method, and the scores as cards."""
     facts = [_when(recording.start_ns), f"{recording.duration_s:.2f} s", recording.format]
     facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"]
     line = escaped(" · ".join(facts))
@@ -50,16 +50,16 @@ def score_table(scores: Sequence[Score]) -> str:
 
 
 def faults(estimate: Estimate) -> str:
-    """Which sensor lied, how, since when and how much."""
+    """The table of sensor faults: sense, name, kind, start, size."""
     rows = [
         (x.sense, x.name, x.kind, Moment(x.since, x.since), _amount(x))
         for x in estimate.faults
     ]
-    return table("Which sensor lied", ("sense", "name", "kind", "since", "size"), rows)
+    return table("Sensor faults", ("sense", "name", "kind", "since", "size"), rows)
 
 
 def notes(features: Features, estimate: Estimate) -> list[str]:
-    """One line for everything there was too much of to draw."""
+    """One line for everything drawn only in part."""
     counted = [
         (len(estimate.joints.names), JOINTS, "joints"),
         (len(features.tracks), TRACKS, "tracks"),
@@ -70,7 +70,7 @@ def notes(features: Features, estimate: Estimate) -> list[str]:
 
 
 def tables(recording: Recording, features: Features, estimate: Estimate) -> str:
-    """Remarks, touches, health per topic and sense, roles."""
+    """Tables of findings, touches, health per topic and sense, and roles."""
     findings = (*recording.findings, *features.findings, *estimate.findings)
     parts = [
         table("Remarks", ("severity", "what"), [(x.severity, x.text) for x in findings]),
@@ -84,7 +84,7 @@ def tables(recording: Recording, features: Features, estimate: Estimate) -> str:
 
 
 def settings(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """Settings as resolved and where everything came from, as text."""
+    """Resolved settings and provenance, as text."""
     origin = {key: _parsed(value) for key, value in provenance.items()}
     shown = {"Settings": estimate.settings, "Provenance": origin}
     blocks = {title: escaped(_pretty(values), _TEXT) for title, values in shown.items() if values}
@@ -115,7 +115,7 @@ def _reasons(rejected: Mapping[str, int]) -> str:
 
 
 def table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str | Moment]]) -> str:
-    """Nothing for no rows; `_ROWS` at most, the rest counted."""
+    """A table as HTML, "" without rows; at most `_ROWS` rows, the rest counted."""
     if not rows:
         return ""
     head = "".join(f"<th>{escaped(name)}</th>" for name in heads)
@@ -146,7 +146,7 @@ def _when(start_ns: int) -> str:
     try:
         return datetime.fromtimestamp(start_ns // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     except (ValueError, OverflowError, OSError):
-        return f"start {start_ns} ns"  # a clock that no calendar reaches
+        return f"start {start_ns} ns"  # a time outside the calendar
 
 
 def _parsed(value: str) -> Any:

@@ -1,4 +1,4 @@
-"""A self-contained HTML document: its style, its script and the data of its plots inside, and nothing else may run."""
+"""A self-contained HTML document with its style, script and data; its policy forbids all other scripts."""
 
 import base64
 import hashlib
@@ -19,7 +19,7 @@ _HELP = (
 
 
 def document(title: str, body: str, groups: Sequence[Mapping[str, Any]]) -> str:
-    """The page as text; `groups` are those of `packing.plain`, one for each `plots` in the body, in order."""
+    """The page as text; `groups` are those of `data.plain`, one for each `plots` in the body, in order."""
     inks = ";".join(f"--{name}:{ink}" for name, ink in STYLE_SHEET.items())
     style = f":root{{{inks}}}\n{_asset('page.css')}"
     script = _asset("panel.js") + _asset("view.js") if groups else ""
@@ -36,7 +36,7 @@ def document(title: str, body: str, groups: Sequence[Mapping[str, Any]]) -> str:
 
 
 def plots(notes: Sequence[str] = ()) -> str:
-    """Where panels that share one time axis are drawn, with what moves them, and remarks below."""
+    """The place of panels that share one time axis, with their controls, and notes below."""
     paragraphs = "".join(f"<p>{escaped(note)}</p>" for note in notes)
     return (
         '<section>\n<div class="bar"><button type="button">whole log</button><output></output>'
@@ -51,5 +51,5 @@ def _asset(name: str) -> str:
 
 
 def _source(text: str) -> str:
-    """The one inline text the browser may use: nothing a log says can run."""
+    """The policy's source for one inline text: no text from a log can run."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

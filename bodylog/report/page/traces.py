@@ -1,4 +1,4 @@
-"""What the page plots: panels of traces over one time axis."""
+"""The page's plots: panels of traces over one time axis."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from ...overlay_style import OTHER, measured
 from ...types import Array, Estimate, Features, Recording, Series
 
 JOINTS, TRACKS, COLUMNS, EVENTS = 24, 12, 32, 2000
-"""Most joints, tracks, lines of one panel and touches or strokes that are drawn."""
+"""Most joints, tracks, lines of one panel, and touches or strokes drawn."""
 
 _INKS = 8
 
@@ -49,7 +49,7 @@ class Panel:
 
 
 def panels(recording: Recording, features: Features, estimate: Estimate) -> tuple[Panel, ...]:
-    """Every panel there is something to draw in, in reading order."""
+    """All panels with content, in reading order."""
     drawn = [*_beliefs(recording, estimate), *_sights(features, estimate), *_feelings(recording, features)]
     return tuple(panel for panel in drawn if panel.rows or any(np.isfinite(trace.y).any() for trace in panel.traces))
 
@@ -65,7 +65,7 @@ def _beliefs(recording: Recording, estimate: Estimate) -> Iterator[Panel]:
 
 
 def _joint(recording: Recording, estimate: Estimate, m: int) -> Iterator[Panel]:
-    """The belief about one joint with what was recorded, and how far both are off the truth where there is one."""
+    """The belief about one joint with its encoder, and the errors of both where there is a ground truth."""
     name, t, mean = estimate.joints.names[m], estimate.joints.t, estimate.joints.values[:, m]
     spread = 2.0 * np.sqrt(np.maximum(estimate.cov[:, m, m], 0.0))
     encoder, truth = _line(recording.joints, name, "encoder", "encoder"), _line(recording.truth, name, "truth", "truth")
@@ -111,7 +111,7 @@ def _columns(series: Series, kind: str = "line") -> tuple[Trace, ...]:
 
 
 def _line(series: Series | None, column: str, name: str, ink: str) -> tuple[Trace, ...]:
-    """The column as a trace, or () where there is none."""
+    """The column as a trace, or () without it."""
     if series is None or column not in series.names or not len(series.t):
         return ()
     kind = "dashes" if ink == "truth" else "line"
@@ -119,7 +119,7 @@ def _line(series: Series | None, column: str, name: str, ink: str) -> tuple[Trac
 
 
 def _spread(series: Series | None, column: str) -> tuple[Trace, ...]:
-    """The column's 2-sigma band, or () where it does not say how sure it is."""
+    """The column's 2-sigma band, or () without standard deviations."""
     if series is None or series.std is None or column not in series.names or not len(series.t):
         return ()
     d = series.names.index(column)

@@ -1,4 +1,4 @@
-"""A layout for Foxglove and Lichtblick: the picture with its overlay, the belief, errors and free energy over time."""
+"""A layout for Foxglove and Lichtblick: images with the overlay, belief, errors and free energy over time."""
 
 import json
 import re
@@ -18,7 +18,7 @@ def write(out: Path, camera: str | None, estimate: Estimate, views: Mapping[str,
 
 
 def layout(camera: str | None, estimate: Estimate, views: Mapping[str, str]) -> dict[str, Any]:
-    """The layout's tree: panels by id, and how they share the window; `views`: topics of further cameras by name."""
+    """The layout's tree: panels by id, and their shares of the window; `views`: topics of further cameras by name."""
     joints = enumerate(estimate.joints.names)
     senses = {name: errors.names for name, errors in estimate.errors.items()}
     panels: dict[str, Any] = {
@@ -55,7 +55,7 @@ def _item(topic: str, field: str, index: int) -> str:
 
 
 def _quoted(topic: str) -> str:
-    """A topic in a message path: in double quotes where it holds more than letters, digits, underscores and slashes."""
+    """A topic in a message path, quoted unless it has only letters, digits, underscores and slashes."""
     if re.fullmatch("[A-Za-z0-9_/]+", topic):
         return topic
     escaped = topic.replace("\\", "\\\\").replace('"', '\\"')

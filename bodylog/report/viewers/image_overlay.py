@@ -1,4 +1,4 @@
-"""What was seen and what was expected, drawn on the picture itself."""
+"""Measurements and predictions drawn on images."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -15,13 +15,13 @@ from ...types import Array, Estimate, Features, Recording, Series
 _RIM = (20, 20, 20)
 _MEASURED, _PREDICTED, _HAND = (ink.rgb[::-1] for ink in (measured("effector"), PREDICTED, measured("hand")))  # BGR
 _WIDTH = 480
-_ACROSS, _TILE = 3, 320  # pictures in a row of a sheet, and px each is wide there
+_ACROSS, _TILE = 3, 320  # images per row of a sheet, and their width there in px
 _FINE = 4  # cv2 draws in 1/16 px with shift 4
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One picture with its marks drawn: t s · image (H,W,3) uint8 BGR · caption."""
+    """One image with its marks drawn: t s · image (H,W,3) uint8 BGR · caption."""
 
     t: float
     image: Array
@@ -46,7 +46,7 @@ def overlay(image: Array, seen: Array | None, predicted: Array | None, cov: Arra
 
 
 def pictures(recording: Recording, features: Features, estimate: Estimate, count: int = 6) -> tuple[Picture, ...]:
-    """`count` frames of each camera, evenly over the log, with what was seen and predicted; () without a camera."""
+    """`count` frames of each camera, evenly over the log, with measurements and predictions; () without a camera."""
     films = {} if recording.frames is None else {"": recording.frames}
     wanted = [recording.duration_s * (k + 0.5) / count for k in range(count)]
     drawn: list[Picture] = []
@@ -55,7 +55,7 @@ def pictures(recording: Recording, features: Features, estimate: Estimate, count
         after = next(due)
         for frame in frames():
             if frame.t >= after:
-                with suppress(FormatError):  # a damaged picture: health counts it, the next one is shown
+                with suppress(FormatError):  # a damaged image: health counts it, the next one is shown
                     drawn.append(_picture(camera, frame.t, frame.image, features, estimate))
                     if (after := next(due, np.inf)) == np.inf:
                         break
@@ -63,9 +63,9 @@ def pictures(recording: Recording, features: Features, estimate: Estimate, count
 
 
 def overlay_sheet(drawn: Sequence[Picture], out: Path) -> None:
-    """Write the pictures side by side, each with a caption below, as one PNG; UsageError: none, suffix."""
+    """Write the images side by side, each with a caption below, as one PNG; UsageError: no image, suffix."""
     if not drawn:
-        raise UsageError(f"{out}: no pictures to put on the sheet; type: bodylog info LOG to see its cameras")
+        raise UsageError(f"{out}: no images to put on the sheet; type: bodylog info LOG to see its cameras")
     tiles = [_tile(picture) for picture in drawn]
     height = max(len(tile) for tile in tiles)
     sheet = np.full((-(-len(tiles) // _ACROSS) * height, min(_ACROSS, len(tiles)) * _TILE, 3), 255, np.uint8)
@@ -81,13 +81,13 @@ def write(image: Array, out: Path) -> None:
     import cv2
 
     if out.suffix.lower() != ".png":
-        raise UsageError(f"{out}: suffix '{out.suffix}' is not that of a sheet; type: {out.with_suffix('.png')}")
+        raise UsageError(f"{out}: suffix '{out.suffix}'; possible: .png; type: {out.with_suffix('.png')}")
     with replacing(out) as beside:
         beside.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
 def scaled(image: Array, width: int) -> Array:
-    """The picture `width` px wide."""
+    """The image scaled to a width of `width` px."""
     import cv2
 
     height = max(1, round(image.shape[0] * width / image.shape[1]))
@@ -108,7 +108,7 @@ def _picture(camera: str, t: float, image: Array, features: Features, estimate: 
 
 
 def _enlarged(image: Array, seen: Array | None, mean: Array | None, cov: Array | None, hand: Array | None) -> Array:
-    """The overlay on the picture at `_WIDTH` px, where its marks are as large as they are meant to be."""
+    """The overlay on the image scaled to `_WIDTH` px, so that marks have one size."""
     scale = _WIDTH / image.shape[1]
     seen, mean, hand = (None if p is None else (p + 0.5) * scale - 0.5 for p in (seen, mean, hand))
     return overlay(scaled(image, _WIDTH), seen, mean, None if cov is None else cov * scale**2, hand)
@@ -120,7 +120,7 @@ def _at(track: Series | None, t: float) -> Array | None:
 
 
 def _nearest(track: Series | None, t: float, tolerance: float = 0.1) -> int | None:
-    """The row within `tolerance` s of t that is nearest."""
+    """The nearest row within `tolerance` s of t."""
     if track is None or not len(track.t):
         return None
     row = int(np.abs(track.t - t).argmin())
@@ -128,7 +128,7 @@ def _nearest(track: Series | None, t: float, tolerance: float = 0.1) -> int | No
 
 
 def _sound(point: Array | None) -> Array | None:
-    """The point (2,) px if it is finite and of a size that can be drawn."""
+    """The point (2,) px if it is finite and can be drawn."""
     return point if point is not None and bool((np.abs(point) < 1e5).all()) else None
 
 
@@ -148,12 +148,12 @@ def _ellipse(image: Array, centre: Array, cov: Array | None, ink: tuple[int, int
 
 
 def _tile(picture: Picture) -> Array:
-    # cv2's fonts know ASCII alone
+    # cv2's fonts have only ASCII
     return np.vstack([scaled(picture.image, _TILE), _words(picture.caption.replace("·", "|"), _TILE)])
 
 
 def _words(text: str, width: int) -> Array:
-    """A strip (26,width,3) of dark words on white."""
+    """A strip (26,width,3) of dark text on white."""
     import cv2
 
     strip = np.full((26, width, 3), 255, np.uint8)

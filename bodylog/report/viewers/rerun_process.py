@@ -1,4 +1,4 @@
-"""Rerun as a program: an MCAP as a recording (.rrd), recordings put together, a window opened."""
+"""Rerun as a program: convert an MCAP to a recording (.rrd), merge recordings, open a window."""
 
 import json
 import re
@@ -16,25 +16,25 @@ APPLICATION = "bodylog"
 PROGRAM = (sys.executable, "-c", "import sys; from rerun_cli.__main__ import main; sys.exit(main())")
 """Rerun with its exit code, which `python -m rerun_cli` drops."""
 _PASSED = re.compile(r"(?:\(entity: `(/[^`]*)`.*?\)|decode message on channel (\S+)): (?:.*\], )?(.*)")
-"""Of an error that is about one entity or topic, its path and what is wrong."""
+"""An error about one entity or topic: its path and the reason."""
 _WHERE = re.compile(r"^.* ERROR [\w:]+: ")
-"""The time, and a place in its own source."""
+"""The time, and a place in Rerun's source."""
 Companion = Callable[[Path, str, Mapping[str, str]], None]
-"""Writes a recording to a file, by identity, beside one that lacks what of some entities could not be shown."""
+"""Writes a companion recording with an identity to a file; gets the entities that Rerun cannot show, with reasons."""
 SECONDS = 600.0
-"""How long Rerun may take over one file; damaged ones have kept it busy for ever."""
+"""s: most time that Rerun may take for one file; damaged ones can keep it busy forever."""
 
 
 def ready() -> None:
-    """UsageError, before anything is read, where Rerun is not installed."""
+    """UsageError, before any file is read, if Rerun is not installed."""
     if find_spec("rerun") is None or find_spec("rerun_cli") is None:
         raise UsageError("view: rerun-sdk is not installed; type: pip install 'bodylog[view]'")
 
 
 def recording(source: Path, out: Path, identity: str, companion: Companion) -> dict[str, str]:
-    """Write an MCAP and what `companion` writes to a file as one recording (.rrd) of that identity.
+    """Merge an MCAP and the recording that `companion` writes into one recording (.rrd) of that identity.
 
-    Returns why by entity that Rerun cannot show, of which `companion` is told. LogError: Rerun refuses the log.
+    Returns {entity that Rerun cannot show: reason}, which `companion` gets too. LogError: Rerun refuses the log.
     """
     with scratch() as folder, replacing(out) as beside:
         names = ("log.mcap", "log.rrd", "companion.rrd", "merged.rrd")
@@ -53,19 +53,19 @@ def show(recorded: Path) -> None:
     """Open a window on a recording and wait until it is closed; UsageError where there is no display."""
     done = subprocess.run([*PROGRAM, str(recorded)], capture_output=True, text=True)
     if done.returncode:
-        text = _last(done.stderr).rpartition(": ")[2]  # before that stand places in its own source
+        text = _last(done.stderr).rpartition(": ")[2]  # the part before it is a place in Rerun's source
         raise UsageError(f"view: Rerun could not open a window ({text}); type: bodylog view LOG -o out.rrd")
 
 
 def disable_analytics(home: Path) -> None:
-    """Tell a Rerun whose home this is to count nobody's files."""
+    """Turn off analytics in this home folder of Rerun."""
     settings = home / ".config" / "rerun" / "analytics.json"
     settings.parent.mkdir(parents=True, exist_ok=True)
     settings.write_text(json.dumps({"analytics_enabled": False, "analytics_id": "", "metadata": {}}), encoding="utf-8")
 
 
 def _run(arguments: Sequence[str], home: Path, source: Path) -> dict[str, str]:
-    """One command of Rerun in a home of its own; why by entity what it passed by."""
+    """Run one command of Rerun in a separate home folder; {entity it skipped: reason}."""
     disable_analytics(home)
     command, alone = [*PROGRAM, *arguments], {"HOME": str(home)}
     try:
@@ -74,17 +74,17 @@ def _run(arguments: Sequence[str], home: Path, source: Path) -> dict[str, str]:
         raise LogError(f"{source}: Rerun did not end in {SECONDS:g} s; type: bodylog doctor {source}") from None
     errors = [line for line in _plain(done.stderr).splitlines() if " ERROR " in line]
     passed = [_PASSED.search(line) for line in errors]
-    if done.returncode or None in passed:  # it ends with 0 when it could read nothing
+    if done.returncode or None in passed:  # its exit code is 0 even if it could read nothing
         raise LogError(f"{source}: Rerun cannot read it ({_last(done.stderr)}); type: bodylog doctor {source}")
     return {found[1] or found[2]: found[3] for found in passed if found}
 
 
 def _last(text: str) -> str:
-    """The last error, or else the last line, Rerun spoke of."""
+    """Rerun's last error message, or else its last line."""
     lines = [line.strip() for line in _plain(text).splitlines() if line.strip()]
     return ([_WHERE.sub("", line) for line in lines if " ERROR " in line] or lines or ["it said nothing"])[-1]
 
 
 def _plain(text: str) -> str:
-    """Without colours."""
+    """The text without colour codes."""
     return re.sub(r"\x1b\[[0-9;]*m", "", text)

@@ -1,6 +1,6 @@
-"""What Rerun does not draw from a log by itself: the overlay on the picture, the belief with its band, errors, events.
+"""What Rerun does not draw from a log: the overlay on images, the belief with its band, errors, events.
 
-Everything is laid out over `message_log_time`, as Rerun lays out the messages of an MCAP.
+The timeline is `message_log_time`, as of Rerun's messages from an MCAP.
 """
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
@@ -16,10 +16,10 @@ from ...overlay_style import BELIEF, PREDICTED, TRUTH, ellipses, measured
 from ...types import Array, Estimate, Features, Frame, Series
 
 ROOT = "bodylog"
-"""Beside the log's own topics: what is drawn of joint names stands below /bodylog/belief and /bodylog/errors."""
+"""Root entity beside the log's own topics; joints are below /bodylog/belief and /bodylog/errors."""
 TIME = "message_log_time"
 _PLANE = "_image_plane"
-"""Rerun puts a picture of frame X into the frame X_image_plane, and what is not in it is not drawn on it."""
+"""Rerun puts an image of frame X into the frame X_image_plane; only entities in that frame are drawn on it."""
 CORNER = 0.5
 """px: Rerun counts from the first pixel's corner, tracks from its centre."""
 Event = tuple[int, str, str]
@@ -28,9 +28,9 @@ Event = tuple[int, str, str]
 
 @dataclass(frozen=True)
 class Camera:
-    """The pictures' topic, their frame_id, without which the overlay lies in another plane than the picture, and they.
+    """A camera's image topic, its frame_id, which puts the overlay into the image's plane, and its frames.
 
-    None of `frames` where there is nothing to decode.
+    `frames` is None where there is nothing to decode.
     """
 
     topic: str
@@ -39,7 +39,7 @@ class Camera:
 
     @property
     def entity(self) -> str:
-        """Where Rerun puts the pictures."""
+        """Rerun's entity of the images."""
         return _path(*_topic(self.topic))
 
 
@@ -49,8 +49,8 @@ def write(
 ) -> None:  # fmt: skip
     """Write the companion of the recording `identity` to `out` (.rrd), with the layout of a window.
 
-    `cameras` are called as before the last / of their tracks' names: the first "". Pictures of `unshown` entities are
-    brought along.
+    `cameras` have the names before the last / of their tracks' names: "" is the first. Images of `unshown`
+    entities are written too.
     """
     import rerun
 
@@ -71,7 +71,7 @@ def write(
 
 
 def _path(*parts: str) -> str:
-    """An entity's path: names from a log are names, whatever signs they hold."""
+    """An entity's path; names from a log are escaped."""
     import rerun
 
     return str(rerun.new_entity_path(list(parts)))
@@ -82,7 +82,7 @@ def _topic(topic: str) -> tuple[str, ...]:
 
 
 def _pictures(stream: Any, camera: Camera, frames: Iterable[Frame]) -> None:
-    """Pictures that Rerun cannot read, as JPEG; those that nobody can are left out."""
+    """Images that Rerun cannot read, as JPEG; undecodable ones are left out."""
     import cv2
     import rerun
 
@@ -97,14 +97,14 @@ def _pictures(stream: Any, camera: Camera, frames: Iterable[Frame]) -> None:
 
 
 def _seen(stream: Any, cameras: Mapping[str, Camera], features: Features) -> None:
-    """Points where things were seen, below the entity of their camera's picture."""
+    """Points at measured places, below the entity of their camera's image."""
     for name, track in features.tracks.items():
         if camera := cameras.get(name.rpartition("/")[0]):
             _points(stream, camera, f"{name} seen", track, measured(name).rgb)
 
 
 def _predicted(stream: Any, cameras: Mapping[str, Camera], estimate: Estimate) -> None:
-    """Points where they were predicted, with their 2-sigma ellipses."""
+    """Points at predicted places, with their 2-sigma ellipses."""
     for name, track in estimate.predicted.items():
         if camera := cameras.get(name.rpartition("/")[0]):
             _points(stream, camera, f"{name} predicted", track, PREDICTED.rgb)
@@ -113,7 +113,7 @@ def _predicted(stream: Any, cameras: Mapping[str, Camera], estimate: Estimate) -
 
 
 def _points(stream: Any, camera: Camera, name: str, track: Series, colour: tuple[int, int, int]) -> None:
-    """One point per row; none where nothing was seen, so that no old point stays."""
+    """One point per row; an empty row where nothing was seen, so that no old point stays."""
     import rerun
 
     seen = np.isfinite(track.values).all(axis=1)
@@ -211,7 +211,7 @@ def _times(ns: Array) -> Any:
 
 
 def _window(cameras: Sequence[Camera], estimate: Estimate | None) -> Any:
-    """The pictures with its overlay, beside the belief, errors, free energy and events over the log's time."""
+    """The layout: images with the overlay, beside belief, errors, free energy and events over time."""
     import rerun.blueprint as rrb
 
     pictures = [rrb.Spatial2DView(origin=camera.entity, name="picture") for camera in cameras]
