@@ -68,7 +68,7 @@ def merged(changes: "Sequence[Change]", found: Estimate) -> tuple[tuple[Fault, .
         if not _constant(fault) or (same is None and moved is None):
             kept.append(fault)
         elif same is None and moved is not None:
-            text = f"the filter lays to {fault.name}'s encoder ({fault.size:.4g} rad) what {moved.name} explains better"
+            text = f"{moved.name} explains the filter's offset of {fault.name} ({fault.size:.4g} rad) better"
             findings.append(Finding("info", text))
         elif same is not None:
             findings += _differing(same, fault)
@@ -101,17 +101,17 @@ def _differing(same: Fault, fault: Fault) -> Iterable[Finding]:
     if same.std is None or fault.size != fault.size:
         return
     if abs(same.size - fault.size) > APART * same.std + 0.1 * abs(same.size):
-        by_body = f"beside the body's own zeros {same.size:.4g} ± {same.std:.2g} rad"
+        by_body = f"relative to the body's zeros {same.size:.4g} ± {same.std:.2g} rad"
         yield Finding("info", f"{same.name}: by the filter its offset is {fault.size:.4g} rad, {by_body}")
 
 
 def _worth(one: "Change") -> str:
     """A change in words, with the evidence for it."""
-    sure = f"{one.nats:.0f} nats likelier than as it was when the body was learned"
+    sure = f"{one.nats:.0f} nats likelier than no change"
     if one.kind == "joint":
         factor, unit = (degrees(1.0), "°") if one.unit == "rad" else (1e3, " mm")
         value, std = -factor * one.value[0], factor * one.std[0]
-        return f"{one.name}: reads {value:+.2f} ± {std:.2f}{unit} beside the body, {sure}"
+        return f"{one.name}: reads {value:+.2f} ± {std:.2f}{unit} relative to the body, {sure}"
     place = f"{1e3 * (one.value[:3] @ one.value[:3]) ** 0.5:.1f} mm"
     turn = f" and turned by {degrees((one.value[3:] @ one.value[3:]) ** 0.5):.2f}°" if len(one.value) == 6 else ""
     return f"{one.name}: moved by {place}{turn}, {sure}"

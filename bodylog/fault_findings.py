@@ -16,9 +16,9 @@ def _text(fault: Fault) -> str:
     # the size of an ambiguous fault is NaN
     known = fault.size == fault.size
     sure = "" if fault.std is None else f" ± {fault.std:.2g}"
-    size = f", {fault.size:.4g}{sure} {fault.unit}" if known else "; the log cannot tell which of them it is"
-    first = "; from the first on: homed differently, or the camera has moved since the body was learned"
-    body = "; beside where it was when the body was learned"
+    size = f", {fault.size:.4g}{sure} {fault.unit}" if known else "; the log does not determine which one"
+    first = "; from the start: homed differently, or the camera moved since the body was learned"
+    body = "; relative to the body"
     compared = fault.kind == "moved" or (fault.kind == "offset" and fault.std is not None)
     return since + size + first * (fault.kind == "drifting" and fault.since < FIRST) + body * compared
 

@@ -70,7 +70,7 @@ def test_a_body_whose_readings_do_not_tell_the_angle_is_refused(learned):
     model = learned["square"]
     middle = np.median(model.senses["effector"].samples, axis=0)
     turning = Polynomial(model.joints, np.column_stack([middle**2, -2.0 * middle, np.ones(len(middle))]))
-    with pytest.raises(UsageError, match="encoders: what this body's read turns or flattens over the angles explored"):
+    with pytest.raises(UsageError, match="encoders: readings turn or flatten over the explored angles"):
         Estimator(replace(model, senses={**model.senses, "encoders": turning}))
 
 

@@ -93,7 +93,7 @@ def test_an_encoder_that_is_off_from_the_first_on_may_be_the_camera() -> None:
     told = (("drifting", 0.2), ("drifting", 9.0), ("jumping", 0.2))
     first, later, jump = fault_warnings([Fault("encoders", "a", kind, since, 0.1, "rad") for kind, since in told])
     assert first.text == (
-        "encoders a: drifting since 0.200 s, 0.1 rad; from the first on: homed differently, or the camera has moved "
+        "encoders a: drifting since 0.200 s, 0.1 rad; from the start: homed differently, or the camera moved "
         "since the body was learned"
     )
     assert later.text == "encoders a: drifting since 9.000 s, 0.1 rad" and jump.text.endswith("0.1 rad")

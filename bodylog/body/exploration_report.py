@@ -25,27 +25,27 @@ def scores(chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> I
 def findings(known: Sequence[Joint], chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> list[Finding]:
     """Joints that vision does not observe: those that did not move, and those with less influence than pixel noise."""
     still = [joint for joint in known if joint not in chosen]
-    left_out = "left out: vision says nothing about it"
+    left_out = "left out: vision does not observe it"
     found = [Finding("info", f"{j.name}: moved {j.range:.3f} rad, {left_out}") for j in still]
     for name, gp in senses.items():
         least = float(np.sqrt(np.mean(noise.senses[name])))
         for joint, size in zip(chosen, influence(gp), strict=True):
             if size < least:
                 moved = f"{joint.name}: moved {joint.range:.3f} rad, {name} only {size:.2f} px"
-                found.append(Finding("warning", f"{moved}: vision says little about it"))
+                found.append(Finding("warning", f"{moved}: vision hardly observes it"))
     return found
 
 
 def missing_findings(features: Sequence[Features], names: Sequence[str], wanted: Sequence[str] | None) -> list[Finding]:
     """Warnings for joints that are not learned but move what is seen: too few readings, or not selected."""
     sparse = sparse_joints(features)
-    found = [Finding("warning", f"{text}; left out: vision errs by what it moved") for text in sparse.values()]
+    found = [Finding("warning", f"{text}; left out: its motion is an error of vision") for text in sparse.values()]
     shared = [set(f.joints.names) for f in features if f.joints is not None]
     rest = tuple(n for n in sorted(set.intersection(*shared)) if n not in names and n not in sparse) if wanted else ()
     for joint in joints(features, rest) if rest else ():
         if moves(joint):
             moved = f"{joint.name}: moved {joint.range:.3f} rad but is not among the joints learned"
-            found.append(Finding("warning", f"{moved}: vision errs by what it moved"))
+            found.append(Finding("warning", f"{moved}: its motion is an error of vision"))
     return found
 
 

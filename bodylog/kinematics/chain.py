@@ -130,7 +130,7 @@ def _chained(robot: Robot, start: str, end: str, ways: Sequence[tuple[Joint, int
         elif joint.kind == "fixed":
             fixed[-1] = fixed[-1] @ before @ after
         else:
-            what = f"joint {joint.name!r} between {start} and {end} is {joint.kind}, which is not read"
+            what = f"joint {joint.name!r} between {start} and {end} is {joint.kind}, which is not supported"
             raise ModelError(f"{robot.source}: {what}; possible: {', '.join(MOVING)}, fixed")
     columns = [np.array(part) for part in zip(*steps, strict=True)] or [np.empty(0)] * 4
     kinds = (np.int64, float, float, bool)

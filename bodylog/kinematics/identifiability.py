@@ -72,8 +72,9 @@ def unidentified(found: Sequence[Offset]) -> Iterator[str]:
     """Yield a line for each joint whose zero or scale is not identifiable, and why."""
     for one in found:
         if not one.identifiable:
-            others = " and ".join(one.confused) or "nothing the sightings show"
-            yield f"{one.joint}: its {one.noun} cannot be separated from {others}"
+            others = " and ".join(one.confused)
+            reason = f"cannot be separated from {others}" if others else "has no visible effect"
+            yield f"{one.joint}: its {one.noun} {reason}"
 
 
 def _confused(rig: Rig, covariance: Array, index: int) -> Iterator[str]:

@@ -109,7 +109,7 @@ def _likeliest(
         if found and _explains(found[0], part):
             break
     if not found:
-        raise ModelError(f"{space.robot.source}: no joint that moved lies between two of its links")
+        raise ModelError(f"{space.robot.source}: no joint that moved lies between any two of its links")
     margin = found[0].evidence - found[1].evidence if len(found) > 1 else None
     links = found[0].rig.cameras[0].link, found[0].rig.carriers[0].link
     rig, first = starts(space.rig([track], {track.camera: links[0]}, {track.marker: links[1]}, hints), [track.data])

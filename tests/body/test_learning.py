@@ -172,7 +172,7 @@ def test_a_joint_that_is_never_a_number_is_named(explored) -> None:
     assert found.model.joints == ("pan", "lift")
     texts = "elbow: only 0 of 1000 readings in log 1 are numbers, 4 are needed"
     assert any(text.startswith(f"{texts}; left out") for text in _warnings(found))
-    with pytest.raises(EvidenceError, match=f"{texts}, but it is asked for"):
+    with pytest.raises(EvidenceError, match=f"{texts}, but [body] joints names it"):
         learn([features], Settings(body=Body(joints=("pan", "elbow"))), {})
     values = np.full_like(features.joints.values, np.nan)
     with pytest.raises(EvidenceError, match=r"no joint moved; the log has none \(pan: only 0 of 1000"):
@@ -182,7 +182,7 @@ def test_a_joint_that_is_never_a_number_is_named(explored) -> None:
 def test_readings_that_no_joint_can_have_are_left_out_by_name(explored) -> None:
     whole = explored(0, 0.003, 10.0).features
     found = learn([_with_readings(whole, 1, 1e300, slice(100, 103))], Settings(), {})
-    assert "lift: 3 of 1000 readings in log 1 left out: no joint is at 1e+300 rad" in _warnings(found)
+    assert "lift: 3 of 1000 readings in log 1 left out: no joint reaches 1e+300 rad" in _warnings(found)
     without = learn([_with_readings(whole, 1, np.nan, slice(100, 103))], Settings(), {})
     assert found.model.joints == ("pan", "lift", "elbow") and found.model.noise == without.model.noise
 

@@ -92,7 +92,7 @@ def test_squares_about_zero_hide_the_sign_and_the_start_decides(explored) -> Non
     joints = replace(still.joints, t=t, values=at**2 + noise, names=body.joints, source_ns=(t * 1e9).astype(np.int64))
     features = replace(still, joints=joints, tracks={})
     for method in ("laplace", "smoother", "predictive-coding"):
-        with pytest.raises(UsageError, match="turns or flattens over the angles explored; type: --method predictive"):
+        with pytest.raises(UsageError, match="turn or flatten over the explored angles; type: --method predictive"):
             understood(features, body, Estimation(method=method), METHODS[method].encoder_model)
     for sign in (1.0, -1.0):
         start = (sign * 0.3, 0.3, 0.4)
@@ -130,7 +130,7 @@ def test_learning_on_without_a_reference_reads_by_the_body_known(explored) -> No
 def test_what_is_missing_is_named(explored) -> None:
     features = _read(explored, 0, np.square)
     short = replace(features.joints, t=features.joints.t[:50], values=features.joints.values[:50])
-    with pytest.raises(EvidenceError, match="pan: 50 readings while the reference spoke, at least 200"):
+    with pytest.raises(EvidenceError, match="pan: 50 readings during the reference, at least 200"):
         learn([replace(features, joints=short)], Settings(), {})
     others = replace(features.joints, names=("a", *JOINTS[1:]))
     with pytest.raises(ConfigError, match="its joint 'pan' has no encoder; possible: a, lift, elbow, wrist"):

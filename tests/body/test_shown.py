@@ -37,7 +37,7 @@ def test_a_gripper_that_moves_unseen_changes_nothing(explored):
     means = [learned.model.senses["effector"].predict(x)[0] for learned in (one, two)]
     np.testing.assert_array_equal(*means)
     (text,) = (f.text for f in two.findings if f.text.startswith("finger"))
-    assert "left out: no track shows it" in text and "[body] joints" in text
+    assert "left out: no track shows its motion" in text and "[body] joints" in text
     asked = body.learn([both], Settings(body=Body(joints=("pan", "lift", "elbow", "finger"))), {})
     assert asked.model.joints == ("pan", "lift", "elbow", "finger")
 

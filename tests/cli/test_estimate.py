@@ -169,8 +169,8 @@ def test_what_a_method_refuses_is_left_out_of_the_comparison_with_a_warning(tmp_
     assert run_cli(*typed, "--config", tmp_path / "start.toml") == 0
     captured = capsys.readouterr()
     assert {row["method"] for row in json.loads(captured.out)["results"][0]["rows"]} == {"predictive-coding"}
-    (refused,) = [line for line in captured.err.splitlines() if "what this body's read turns or flattens" in line]
-    for row in ("laplace encoders,vision; ", "smoother vision; ", "kalman encoders: encoders: what "):
+    (refused,) = [line for line in captured.err.splitlines() if "readings turn or flatten" in line]
+    for row in ("laplace encoders,vision; ", "smoother vision; ", "kalman encoders: encoders: readings "):
         assert row in refused
     assert run_cli(*typed) == 2
     assert capsys.readouterr().err.count("\n") == 1

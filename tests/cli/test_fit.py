@@ -37,7 +37,7 @@ def test_fit_prints_what_it_learned_and_what_it_did_not(tmp_path, capsys, run_cl
     assert scores["used_share/effector"] == 1.0 and scores["rmse/held_out/effector"] < 0.6
     assert 0.7 < scores["nis/held_out/effector"] < 1.5
     for joint in ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint"):
-        assert f"{joint}: moved 0.000 rad, left out: vision says nothing about it" in printed.err
+        assert f"{joint}: moved 0.000 rad, left out: vision does not observe it" in printed.err
     shown = _printed(capsys, run_cli, "info", tmp_path / "body.npz").out
     assert printed.out.endswith(shown) and "touch: a1 = 1, b1 = 0.003472 /px²" in shown
     assert re.search(r"inputs: explore\.mcap [0-9a-f]{64}\n", shown)

@@ -98,7 +98,7 @@ def test_the_baseline_refuses_senses_it_does_not_hear(world, asked):
 
 def test_a_track_the_body_knows_but_the_log_has_not_cannot_be_asked_for(world):
     drawn = world(0, duration=2.0)
-    with pytest.raises(EvidenceError, match=r"effector: asked for, but it gave no observation"):
+    with pytest.raises(EvidenceError, match=r"effector: requested, but without measurements"):
         estimate(replace(drawn.features, tracks={}), drawn.body, Estimation(senses=("encoders", "effector")))
 
 

@@ -318,8 +318,8 @@ def test_what_is_not_the_bodys_is_refused_in_one_line_and_changes_nothing(world)
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        (Estimation(), "precision: 'auto' needs the whole log; beside a robot model is possible"),
-        (Estimation(precision="model"), "bias: 'auto' needs the whole log; beside a robot off or on is possible"),
+        (Estimation(), "precision: 'auto' needs the whole log; possible live: model"),
+        (Estimation(precision="model"), "bias: 'auto' needs the whole log; possible live: off or on"),
         (replace(MODEL, method="smoother"), "method: 'smoother' needs the whole log"),
         (replace(MODEL, start=(1.0,)), "start: 1 angles given, the body has 3 joints"),
         (replace(MODEL, senses=("nose",)), "senses: 'nose' found, possible:"),

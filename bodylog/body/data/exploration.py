@@ -34,7 +34,7 @@ def select_joints(
             seen |= _moving(part, chosen, fit)
     kept = [joint for joint in chosen if joint.name not in beside or joint.name in seen]
     left = [joint for joint in chosen if joint not in kept]
-    text = "no track shows it; to learn over it all the same, name it in [body] joints"
+    text = "no track shows its motion; to include it, name it in [body] joints"
     return kept, [Finding("info", f"{j.name}: moved {j.range:.3f}, left out: {text}") for j in left]
 
 

@@ -80,7 +80,7 @@ def joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list
         raise ConfigError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(common)}; type: bodylog info LOG")
     sparse = sparse_joints(features)
     if missing := [sparse[n] for n in wanted or () if n in sparse]:
-        raise EvidenceError(f"{missing[0]}, but it is asked for; type: bodylog info LOG")
+        raise EvidenceError(f"{missing[0]}, but [body] joints names it; type: bodylog info LOG")
     still = [f.poses for f in features]
     return [_joint(n, readings, still) for n in wanted or common if n not in sparse]
 
@@ -111,7 +111,7 @@ def plausible(features: Sequence[Features]) -> tuple[list[Features], list[Findin
             for m in np.flatnonzero(absurd.any(axis=0)):
                 example = f"{series.values[absurd[:, m], m][0]:.3g} {series.unit}"
                 what = f"{series.names[m]}: {absurd[:, m].sum()} of {len(absurd)} readings in log {index + 1}"
-                findings.append(Finding("warning", f"{what} left out: no joint is at {example}"))
+                findings.append(Finding("warning", f"{what} left out: no joint reaches {example}"))
         kept.append(found)
     return kept, findings
 

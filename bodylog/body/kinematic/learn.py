@@ -112,7 +112,7 @@ def unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple[
         left, spread = calibrated.noise**0.5, one.sighted.spread
         if left > UNFIT * spread or weight[one.seen].mean() < 0.5:
             ends = f"from {sight.chain.start} to {sight.chain.end}"
-            yield name, f"{ends} it leaves {left:.1f} px of {name}, which moved by {spread:.0f} px"
+            yield name, f"{ends} its residual for {name} is {left:.1f} px, the motion {spread:.0f} px"
 
 
 def learned(

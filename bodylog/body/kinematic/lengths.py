@@ -44,9 +44,9 @@ class Stretch:
         way = "longer" if self.share > 0 else "shorter"
         size = f"{abs(self.share):.1%} ± {self.std:.1%}"
         if not self.before:
-            return f"all the robot's links are {size} {way} than it says, by the metres that camera or board give"
+            return f"all the robot's links are {size} {way} than in the URDF, by the camera's or board's metres"
         link = f"the robot's link between {self.before} and {self.after}"
-        return f"{link} is {size} {way} than it says, beside its others"
+        return f"{link} is {size} {way} than in the URDF, relative to the others"
 
 
 def stretched(rig: Rig, index: int, theta: Array, learned: Part, prior: Prior) -> Stretch | None:

@@ -23,7 +23,7 @@ def scaled(model: BodyModel) -> tuple[Offset, ...]:
 def _first(model: BodyModel) -> KinematicGP:
     senses = [sense for sense in model.senses.values() if isinstance(sense, KinematicGP)]
     if not senses:
-        raise ModelError("learned without a URDF, it tells no joint offsets; type: bodylog fit LOG --urdf ROBOT.urdf")
+        raise ModelError("learned without a URDF, so without joint offsets; type: bodylog fit LOG --urdf ROBOT.urdf")
     return senses[0]
 
 

@@ -87,7 +87,7 @@ def findings(links: Found, found: Sequence[Offset], gains: Mapping[str, float]) 
         camera, marker = rig.cameras[sight.camera].link, rig.carriers[sight.carrier].link
         yield Finding("info", f"{sight.name.strip('/')}: camera on {camera}, marker on {marker}{sure}")
     for name in links.lacking:
-        text = f"{name}: stands between camera and marker and is not in the log; it is taken to stand at zero"
+        text = f"{name}: between camera and marker, but without readings; assumed at zero"
         yield Finding("warning", text)
     for name, nats in gains.items():
         yield Finding("info", f"{name}: {nats:.0f} nats likelier with the URDF")

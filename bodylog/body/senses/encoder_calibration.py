@@ -62,7 +62,7 @@ def _readings(features: Sequence[Features], joint: Joint) -> tuple[Array, Array,
         parts.append((x[sound], y[sound], block + log * _BLOCKS))
     x, y, block = (np.concatenate(column) for column in zip(*parts, strict=True))
     if len(x) < _FEWEST:
-        raise EvidenceError(f"{joint.name}: {len(x)} readings while the reference spoke, at least {_FEWEST} are needed")
+        raise EvidenceError(f"{joint.name}: {len(x)} readings during the reference, at least {_FEWEST} are needed")
     return x, y, block
 
 

@@ -85,7 +85,7 @@ def angle_reader(body: BodyModel) -> Callable[[Array], Array]:
     step = np.diff(read, axis=0) * np.sign(read[-1] - read[0])
     if (step.min(axis=0) < _STEEP * step.max(axis=0)).any():
         raise UsageError(
-            "encoders: what this body's read turns or flattens over the angles explored; type: --method "
+            "encoders: readings turn or flatten over the explored angles; type: --method "
             f"predictive-coding, and in robot.toml [estimate] start, the angles in rad of {', '.join(body.joints)}"
         )
     columns = range(len(body.joints))

@@ -236,6 +236,6 @@ def _needs_no_log(settings: Estimation, body: BodyModel) -> None:
     possible = {"method": able, "precision": ("model",), "bias": ("off", "on")}
     for name, values in possible.items():
         if (found := getattr(settings, name)) not in values:
-            raise UsageError(f"{name}: {found!r} needs the whole log; beside a robot {' or '.join(values)} is possible")
+            raise UsageError(f"{name}: {found!r} needs the whole log; possible live: {' or '.join(values)}")
     if settings.start is not None and len(settings.start) != len(body.joints):
         raise UsageError(f"start: {len(settings.start)} angles given, the body has {len(body.joints)} joints")

@@ -135,7 +135,7 @@ def _check(
         kept = any(used[member].used for member in members if member in used)
         if not kept and not (name == "touch" and late):
             raise EvidenceError(
-                f"{name}: asked for, but it gave no observation ({_counts(used)}; tracks: "
+                f"{name}: requested, but without measurements ({_counts(used)}; tracks: "
                 f"{', '.join(features.tracks) or 'none'}); leave it out of the senses, or name its topic"
             )
     empty = [name for name, health in used.items() if health.seen and not health.used and name not in named]

@@ -95,7 +95,7 @@ def _chosen(
         if len(order) > 1 and trials[order[0]][0] - trials[order[1]][0] < APART:
             candidates = [names[j] for j in order if trials[order[0]][0] - trials[j][0] < APART]
             names_of = ", ".join(candidates)
-            text = f"encoders: an offset of {names_of} explains these poses alike; another track tells which"
+            text = f"encoders: an offset of {names_of} explains these poses equally well; another track would decide"
             findings.append(Finding("warning", text))
             break
         free[order[0]] = True

@@ -27,7 +27,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation, can: Cap
     sightings = [s for s in typed.sightings(evidence.sightings, settings) if s.name != "touch"]
     poses = gathered(evidence.encoders, sightings, body)
     if not len(poses.t):
-        raise EvidenceError("no pose has a reading of a joint or a place that the body knows; type: bodylog info LOG")
+        raise EvidenceError("no pose has a joint reading or position known to the body; type: bodylog info LOG")
     known = typed.of_joints(settings.sigma_encoders, body.joints, np.array(body.noise.encoder, float))
     unknown = settings.precision == "auto" and settings.sigma_encoders is None
     found = learned(poses, known, body.joints, unknown, settings.bias)
