@@ -1,4 +1,4 @@
-"""Boards: all points of one share a camera, a pose and the joints' zeros; one sense for each point."""
+"""Boards: all points share a camera, a pose and the joints' zeros; each point is a sense."""
 
 import numpy as np
 import pytest

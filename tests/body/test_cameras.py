@@ -1,4 +1,4 @@
-"""A head that turns its camera is one more joint; each camera's track is a sense of its own."""
+"""A head that turns its camera is one more joint; each camera's track is a sense."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def _angles(t: Array, seed: int) -> Array:
 
 
 def _run(seed: int, duration: float, noise: float, cameras: tuple[Array, ...] = (BASE,)) -> Features:
-    """Encoders at 100 Hz, and frames of each camera at instants of its own, 0.2 px of noise."""
+    """Encoders at 100 Hz, and frames of each camera at times of its own, 0.2 px of noise."""
     draw = np.random.default_rng(seed)
     t = np.arange(0.0, duration, 0.01)
     joints = Series(t, _angles(t, seed) + draw.normal(0, noise, (len(t), 4)), JOINTS, "rad", (t * 1e9).astype(np.int64))

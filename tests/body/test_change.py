@@ -1,4 +1,4 @@
-"""What changed since a body was learned: joints' zeros, camera and marker, by evidence."""
+"""Changes since a body was learned: joint zeros, camera and marker, by evidence."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ CENTRE = np.array([0.0, -0.6, 0.9, 0.2])
 
 
 def run(seed=50, duration=10.0, encoder=0.01, offset=None, since=0.0, camera=None, bend=1.0) -> Features:
-    """A motion of the arm before the camera; `offset` is what its encoders read too little, rad, from `since` s on."""
+    """A motion of the arm before the camera; `offset` rad is missing in its encoders' readings from `since` s on."""
     rig, draw = robots.rig(known=False), np.random.default_rng(seed)
     theta = robots.truth(rig)
     theta[:6] += 0.0 if camera is None else camera

@@ -52,5 +52,5 @@ def test_a_bent_valley_is_followed_to_its_end() -> None:
 def test_it_stops_where_nothing_can_be_gained() -> None:
     wide = np.ones(2)
     assert np.array_equal(descend(lambda x: (0.0, np.zeros(2)), np.zeros(2), -wide, wide, np.eye(2)), np.zeros(2))
-    # a slope that lies: no step finds a lower value
+    # a wrong gradient: no step finds a lower value
     assert np.array_equal(descend(lambda x: (0.0, np.ones(2)), np.zeros(2), -wide, wide, np.eye(2)), np.zeros(2))

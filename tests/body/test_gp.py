@@ -80,7 +80,7 @@ def test_a_short_factor_changes_no_variance(seed: int, count: int, inputs: int, 
     short, draw = shortened(gp), np.random.default_rng(seed)
     x = np.concatenate([gp.samples[:20], draw.uniform(-2, 2, (20, inputs)), draw.uniform(-6, 6, (20, inputs))])
     whole, less = gp.predict(x)[2], short.predict(x)[2]
-    # what rounding leaves of a difference of two amplitudes comes on top
+    # plus the rounding of a difference of two amplitudes
     assert (np.abs(less - whole) <= 1.01 * NEGLIGIBLE * whole + 1e-11 * gp.amplitude.max()).all()
     assert (less >= whole - 1e-11 * gp.amplitude.max()).all()
     assert short.factor.shape[1] <= count
@@ -97,7 +97,7 @@ def test_covariance_has_the_variance_on_its_diagonal() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_amplitude_costs_no_digits(seed: int) -> None:
-    """A mean is as exact as its largest terms are, however large the amplitude."""
+    """A mean is as exact as its largest terms, however large the amplitude."""
     draw = np.random.default_rng(seed)
     centres, weights = draw.uniform(-1, 1, (60, 3)), draw.normal(0, 1, (2, 60))
     scales, amplitude = draw.uniform(1, 2, (1, 3)), np.array([1e12])

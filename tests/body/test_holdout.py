@@ -18,7 +18,7 @@ def test_residuals_are_those_of_a_fit_without_the_block(count: int) -> None:
     rows, kept = block == 2, block != 2
     gram = se(x / kernel.scales, x / kernel.scales, kernel.amplitude) + kernel.noise * np.eye(count)
     inner = np.linalg.inv(gram[np.ix_(kept, kept)])
-    # ordinary kriging with the constant mean of the whole (exact) or of the rest (sparse): they differ by a hair
+    # ordinary kriging with the constant mean of the whole (exact) or of the rest (sparse): nearly equal
     mean = inner.sum(axis=0) @ y[kept] / inner.sum()
     expected = y[rows] - mean - gram[np.ix_(rows, kept)] @ inner @ (y[kept] - mean)
     spread = np.diag(gram[np.ix_(rows, rows)] - gram[np.ix_(rows, kept)] @ inner @ gram[np.ix_(kept, rows)])

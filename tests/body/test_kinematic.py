@@ -1,4 +1,4 @@
-"""Bodies learned with a URDF: foretelling, derivatives, files, and URDFs that are another robot's."""
+"""Bodies learned with a URDF: predictions, derivatives, files, and URDFs of other robots."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ STEP = 1e-6
 
 
 def features(count=60, bend=3.0, noise=0.3, drift=0.0, seed=1) -> Features:
-    """Still poses of the arm, whose picture bends by what no kinematics says."""
+    """Still poses of the arm, with an image distortion that kinematics does not explain."""
     rig = robots.rig(known=False)
     q = robots.angles(count, seed)
     draw = np.random.default_rng(seed + 50)
@@ -200,7 +200,7 @@ def test_evidence_is_that_of_the_whole_covariance_and_its_gradient_right():
 
 
 def _whole(rows, kernel):
-    """Evidence (nats) and covariance (2n,2n) written out."""
+    """Evidence (nats) and covariance (2n,2n) in full matrices."""
     n, z = len(rows.x), rows.x / kernel.scales
     own = se(z, z, kernel.amplitude) + np.diag(rows.spread.diagonal) + kernel.noise * np.eye(n)
     design = rows.design.transpose(1, 0, 2).reshape(2 * n, -1)
@@ -256,7 +256,7 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, run_cli, caps
     assert run_cli("plot", tmp_path / "body.npz", "-o", tmp_path / "body.png") == 0
     assert run_cli("plot", tmp_path / "plain.npz", "-o", tmp_path / "plain.png") == 0
     sizes = [int.from_bytes((tmp_path / name).read_bytes()[20:24]) for name in ("body.png", "plain.png")]
-    assert sizes[0] > 1.5 * sizes[1]  # the reprojection and the zeros stand below
+    assert sizes[0] > 1.5 * sizes[1]  # the reprojection and the zeros are below
     capsys.readouterr()
     assert run_cli("offsets", tmp_path / "plain.npz") == 65
     assert "type: bodylog fit LOG --urdf" in capsys.readouterr().err

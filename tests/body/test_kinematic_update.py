@@ -1,4 +1,4 @@
-"""A body learned with a URDF that is learned on keeps its chain, and all that it saw before."""
+"""Updating a body learned with a URDF keeps its chain and its earlier samples."""
 
 from dataclasses import replace
 

@@ -215,7 +215,7 @@ def _standardised(explored: Callable, encoder: float, seed: int) -> dict[str, Ar
 @pytest.mark.parametrize("seeds", [4, pytest.param(20, marks=pytest.mark.soak)])
 def test_it_knows_how_wrong_it_is(explored, encoder: float, seeds: int) -> None:
     runs = [_standardised(explored, encoder, seed) for seed in range(seeds)]
-    # 20 runs together are held to the bound; 4 of them scatter more
+    # the bound is for 20 runs together; 4 of them scatter more
     slack = 1.0 if seeds == 20 else 1.5
     for name in runs[0]:
         variance = np.array([np.mean(run[name]) for run in runs])

@@ -74,19 +74,19 @@ def _poison(name: str, value: float) -> Callable[[Path], None]:
 
 
 def _unclosed(path: Path) -> None:
-    """An array whose header is cut short, in a sound archive."""
+    """An array with a truncated header, in a sound archive."""
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("header.npy", b"\x93NUMPY\1\0\x20\0" + b"{'descr': ('<U1',".ljust(32))
 
 
 def _liar(path: Path) -> None:
-    """A member whose header promises far more than the file holds."""
+    """A member whose header declares far more than the file holds."""
     with zipfile.ZipFile(path, "w") as archive, archive.open("header.npy", "w") as stream:
         np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 50,)})
 
 
 def _shape(shape: str) -> Callable[[Path], None]:
-    """The effector's weights with a header of another shape; its data are as long as that multiplies to, if at all."""
+    """The effector's weights with a header of another shape; the data's length is their product, if possible."""
 
     def change(path: Path) -> None:
         with zipfile.ZipFile(path) as archive:
@@ -102,7 +102,7 @@ def _shape(shape: str) -> Callable[[Path], None]:
 
 
 def _text(old: str, new: str) -> Callable[[Path], None]:
-    """The header's text with `old` replaced: what json.dumps would not write."""
+    """The header's text with `old` replaced by what json.dumps would not write."""
 
     def change(arrays: dict[str, np.ndarray]) -> None:
         found = str(arrays["header"])
@@ -186,7 +186,7 @@ def test_no_flipped_byte_gets_through(seed: int, body: BodyModel, tmp_path: Path
         found = load(path)
     except ModelError:
         return
-    # what is read all the same (a date, a padding byte) is the model that was saved
+    # a changed date or padding byte does not change the model
     assert found.joints == body.joints and found.noise == body.noise
     x = np.random.default_rng(1).uniform(-1, 1, (5, 2))
     assert all(np.array_equal(found.senses[n].predict(x)[0], g.predict(x)[0]) for n, g in body.senses.items())

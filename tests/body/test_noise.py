@@ -34,7 +34,7 @@ def test_variances_of_two_logs_are_weighed_by_their_readings() -> None:
     explored = Noise((1e-4,), {"effector": (0.01, 0.02)}, (0.3,), _errors((1e-6,), (0.02,), (0.001, 0.001)))
     still = Noise((2e-4,), {"effector": (0.04, 0.04)}, (1e-9,), _errors((2e-6,), (1e9,), (0.004, 0.004)))
     both = pooled(still, explored)
-    # both have the encoder from as many readings: so the arm was still for half of the time
+    # both have equally many encoder readings, so the arm was still for half of the time
     assert both.process == pytest.approx((0.15,)) and both.std_error["process"] == pytest.approx((0.01,))
     assert both.encoder == pytest.approx((1.5e-4,)) and both.std_error["encoder"][0] < 1.5e-6
     assert both.senses["effector"] == pytest.approx(((0.01 + 0.04) / 2, (400 * 0.02 + 100 * 0.04) / 500))

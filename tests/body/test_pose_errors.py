@@ -1,4 +1,4 @@
-"""What several tracks err alike in still poses is what their joints were off by."""
+"""Residuals that several tracks share in still poses are errors of the joints."""
 
 from pathlib import Path
 
@@ -43,7 +43,7 @@ def test_errors_of_joints_are_learned_from_residuals_that_tracks_share(seed, tmp
 
 
 def test_shared_errors_of_models_of_too_few_poses_are_no_encoder_errors():
-    """Two dozen poses of three joints: tracks are off by tens of pixels, and alike."""
+    """Two dozen poses of three joints: tracks share errors of tens of pixels."""
     draw = np.random.default_rng(5)
     q = draw.uniform(-1.5, 1.5, (24, 3))
     t, ns = np.arange(24.0), np.arange(24) * 10**9

@@ -1,4 +1,4 @@
-"""What encoders read, learned where true angles are known, and used where they are not."""
+"""Encoder functions, learned from true angles, and used without them."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,7 +29,7 @@ def _bent(x: Array) -> Array:
 
 
 def _read(explored, seed: int, reading: Reading, noise: float = NOISE, duration: float = 20.0) -> Features:
-    """An exploration with a reference of its angles, whose encoders read `reading` of them."""
+    """An exploration with a reference of its angles; encoders read `reading` of them."""
     run = explored(seed, 0.0, duration)
     joints = run.features.joints
     noisy = reading(joints.values) + np.random.default_rng(seed).normal(0.0, noise, joints.values.shape)

@@ -1,4 +1,4 @@
-"""A joint whose counts of a turn are not what was typed: its scale is learned, kept, printed and written."""
+"""A joint with a wrong number of counts per turn: its scale is learned, saved, printed and written."""
 
 import json
 
@@ -20,7 +20,7 @@ UNIT = "4096 counts from 2048"
 
 @pytest.fixture(scope="module")
 def learned(tmp_path_factory):
-    """From 120 poses in counts, of which lift makes 3 % fewer to the turn than the others; the body's file."""
+    """From 120 poses in counts, with 3 % fewer counts per turn of lift than of the others; the body's file."""
     folder, seen = tmp_path_factory.mktemp("scales"), features(120, bend=0.5)
     (folder / "arm.urdf").write_text(ARM)
     counts = 2048 + seen.joints.values * 4096 / (2 * np.pi) / (1 + SCALE * (np.arange(4) == JOINT))

@@ -1,4 +1,4 @@
-"""Joints found beside the first topic's are learned over only where a track shows their motion."""
+"""Joints of further topics are learned only where a track shows their motion."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ WORLDS = Path(__file__).parents[2].parent / "shared" / "logs" / "worlds"
 
 
 def _beside(features: Features, finger: np.ndarray, name: str) -> Features:
-    """The features with one joint more, on a topic of its own: in rows between the others'."""
+    """The features with one more joint, on a topic of its own: in rows between the others'."""
     t, old = features.joints.t, features.joints
     both = np.sort(np.concatenate([t, t[::2] + 0.003]))
     values = np.full((len(both), len(old.names) + 1), np.nan)
@@ -52,7 +52,7 @@ def test_a_joint_of_a_further_topic_that_is_seen_is_learned_over(explored):
 
 
 def test_a_gripper_beside_a_track_of_hardly_any_noise_is_left_out():
-    """A process fits the fingers' motion to what little it misses, which is more than a tag's noise."""
+    """A process fits the fingers' motion to its small residual, which exceeds a tag's noise."""
     if not WORLDS.is_dir():
         pytest.skip(f"{WORLDS} is not here")
     read, truth = recording.read(WORLDS / "tag_explore", Settings()), np.load(WORLDS / "tag_explore.truth.npz")

@@ -6,7 +6,7 @@ from bodylog.types import Array
 
 
 def _wiener(a: Array, b: Array, order: int, density: float) -> Array:
-    """Covariance of the order-fold integral of white noise: an integral, by fine quadrature."""
+    """Covariance of the order-fold integral of white noise, by fine quadrature."""
     grid = (np.arange(4000) + 0.5) / 4000 * max(a.max(), b.max())
     width = grid[1] - grid[0]
     lean = [np.where(grid < x[:, None], x[:, None] - grid, 0.0) ** (order - 1) for x in (a, b)]
@@ -14,7 +14,7 @@ def _wiener(a: Array, b: Array, order: int, density: float) -> Array:
 
 
 def _dense(t: Array, z: Array, at: Array, motion: Motion) -> tuple[Array, Array]:
-    """Posterior mean and covariance at `at` by the textbook, with a wide prior on the start."""
+    """Posterior mean and covariance at `at` in full matrices, with a wide prior on the start."""
     start, scale = t[0], 1e4
     both = np.concatenate([t, at]) - start
     prior = _wiener(both, both, motion.order, motion.process)

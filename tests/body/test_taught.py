@@ -1,4 +1,4 @@
-"""What teaches no body is refused, or left out, by name and with counts."""
+"""Tracks that cannot be learned are refused, or left out, by name and with counts."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A body's scores on logs it did not learn from: named as promised, and true."""
+"""Scores of a body on test logs: their names, and their values."""
 
 import json
 from dataclasses import replace

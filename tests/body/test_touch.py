@@ -69,7 +69,7 @@ def test_cells_have_each_their_place_beside_the_effector(seed: int) -> None:
     assert set(cells) == {1, 2, 3} and "place of 3 cells" in findings[0].text
     for cell, offset in enumerate(offsets, 1):
         u, v, spread = cells[cell]
-        # thirty touches: a mean's own error is 3/√30 px, and one touch's weight draws it to the common place
+        # thirty touches: the mean's error is 3/√30 px, and the weight of one touch pulls it to the common position
         assert np.hypot(u - offset[0], v - offset[1]) < 3.0
         assert 2.0 < spread < 5.5
 
@@ -80,7 +80,7 @@ def test_a_hand_that_strokes_along_the_limb_is_held_for_as_far_off_as_it_goes() 
     hand = replace(features.hand, values=features.hand.values + along * [0.0, 1.0])
     seen = replace(features, tracks={"hand": hand})
     constants, cells, _ = learned([seen], ("pan",), _Still())
-    # from 0 to 30 px in one coordinate: 300 px² mean square there, 150 over both; five touches of 144 px² are assumed
+    # from 0 to 30 px in one coordinate: mean square 300 px² there, 150 over both; the prior is five touches of 144 px²
     assert 1 / (2 * constants.b1) == pytest.approx(150.0, rel=0.1)
     assert cells[1][:2] == pytest.approx((0.0, 15.0), abs=0.5) and cells[1][2] == pytest.approx(np.sqrt(37.5), rel=0.1)
 

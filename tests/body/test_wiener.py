@@ -7,7 +7,7 @@ from bodylog.types import Array
 
 
 def _random(seed: int, count: int, order: int) -> tuple[Array, Array, Array]:
-    """Blocks of a random motion seen through noise, and the same as one dense matrix."""
+    """Blocks of a random motion observed with noise, and the same as one dense matrix."""
     draw = np.random.default_rng(seed)
     diagonal, upper = precision(order, draw.uniform(0.2, 2.0, count - 1))
     diagonal = diagonal + draw.uniform(0.5, 1.0, (count, 1, 1)) * np.eye(order)

@@ -27,7 +27,7 @@ class Linear:
 
 @dataclass(frozen=True)
 class Arm:
-    """A three-joint arm (pan, lift, elbow) before a pinhole camera; `blur` is the variance it admits to, px²."""
+    """A three-joint arm (pan, lift, elbow) before a pinhole camera; `blur` is its stated variance, px²."""
 
     blur: float = 0.0
     outputs: tuple[str, ...] = ("u", "v")
@@ -48,7 +48,7 @@ class Arm:
 
 @dataclass(frozen=True)
 class Explored(Arm):
-    """The same, remembering at which angles (N,3) rad it was explored."""
+    """The same with the angles (N,3) rad at which it was explored."""
 
     samples: Array = field(default_factory=lambda: motion(np.linspace(0.0, 60.0, 80), np.random.default_rng(77)))
 
@@ -75,7 +75,7 @@ def draw(
     pixel_std: float = 0.4, model: object = None, hidden: tuple[float, float] = (0.0, 0.0), speed: float = 0.5,
     blunder: float = 0.0,
 ) -> World:  # fmt: skip
-    """A world with its truth; `hidden` says when the effector is out of view, `blunder` how often it is mistaken."""
+    """A world with its truth; `hidden`: when the effector is out of view, `blunder`: share of false sightings."""
     rng = np.random.default_rng(seed)
     model = Arm() if model is None else model
     t = np.arange(0.0, duration, 1 / encoder_hz)
@@ -185,5 +185,5 @@ def reference() -> Callable[..., Dense]:
 
 @pytest.fixture
 def swept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Logs are solved sweep by sweep, as those are in which encoders fall silent."""
+    """Force the sweeps that solve logs with silent encoders."""
     monkeypatch.setattr(whole_log, "possible", lambda *_: False)

@@ -1,4 +1,4 @@
-"""Arms whose encoders count in steps, and that rest, reach and stick, drawn from a seed."""
+"""Arms whose encoders count in steps and whose joints rest, reach and stick, drawn from a seed."""
 
 from dataclasses import dataclass
 

@@ -83,7 +83,7 @@ def test_the_papers_preset_runs_to_the_end(seen, learned, name):
 
 
 def displaced(found, truth, model, touches):
-    """Distance (px RMS) of the believed effector from the true one, while touched."""
+    """Distance (px RMS) of the estimated effector from the true one, while touched."""
     during = np.any([(found.joints.t > t.onset + 0.2) & (found.joints.t < t.offset) for t in touches], axis=0)
     columns = [truth.values[:, NAMES.index(joint)] for joint in found.joints.names]
     true = np.stack([np.interp(found.joints.t, truth.t, column) for column in columns], axis=1)

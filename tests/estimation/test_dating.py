@@ -1,4 +1,4 @@
-"""Pictures dated late: what the log says of it, what is given, and that the estimate is as good as without."""
+"""Camera delays: measured or given, reported, and corrected so that the estimate is as good as without."""
 
 from dataclasses import replace
 
@@ -93,7 +93,7 @@ def test_given_delays_are_used_and_contradicted_where_the_log_knows_better(world
         (text,) = delay_texts(wrong)
         assert named in text and float(text.rpartition("type --delay camera=")[2]) == pytest.approx(0.05, abs=0.01)
     (text,) = delay_texts(estimate(drawn.features, drawn.body, Estimation(bias="off"), {"camera": 0.05}))
-    assert text.endswith("type --delay camera=0")  # and not how far from it the log happens to have it
+    assert text.endswith("type --delay camera=0")  # independent of the delay that the log happens to show
     with pytest.raises(UsageError, match=r"delay: 'left' found, possible: joints, camera; type --delay camera=0\.05"):
         estimate(features, drawn.body, Estimation(), {"left": 0.05})
 

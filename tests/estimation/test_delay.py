@@ -1,4 +1,5 @@
-"""How late pictures are dated: as sure as it says, whatever else is wrong with the log, and not where none are."""
+"""Measured camera delays have true error bars, despite other faults in the log, and none is found where there is none.
+"""
 
 from dataclasses import replace
 
@@ -9,14 +10,14 @@ from bodylog.estimation.timing.correction import GAIN, measured_delays
 
 
 def delayed(features, seconds):
-    """What each camera shows dated so much later: {"" or name: s}, or all by one number."""
+    """Delay image timestamps by camera, {"" or name: s}, or all by one number."""
     by = seconds if isinstance(seconds, dict) else dict.fromkeys(("", "side"), seconds)
     tracks = {name: replace(t, t=t.t + by.get(name.rpartition("/")[0], 0.0)) for name, t in features.tracks.items()}
     return replace(features, tracks=tracks)
 
 
 def spoilt(drawn, how):
-    """Faults a log may have besides."""
+    """Add another fault to the log."""
     joints = drawn.features.joints
     values = joints.values.copy()
     if how == "drift":

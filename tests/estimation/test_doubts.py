@@ -1,4 +1,4 @@
-"""What a log says against an estimate: noise that is not what was taken for it, pictures that nothing explains."""
+"""Warnings from a log against its estimate: noise unlike the assumed, images that nothing explains."""
 
 from dataclasses import replace
 

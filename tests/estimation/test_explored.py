@@ -1,4 +1,4 @@
-"""Readings that cannot be the angles a body was learned at: of another unit, a turn off, or of another place."""
+"""Readings that cannot be the angles of the body: another unit, a whole turn off, or another range."""
 
 from dataclasses import dataclass, field, replace
 
@@ -14,7 +14,7 @@ from tests.estimation.conftest import Arm, motion
 
 @dataclass(frozen=True)
 class Learned(Arm):
-    """An arm that tells where it was explored."""
+    """An arm that keeps the angles at which it was explored."""
 
     samples: Array = field(default_factory=lambda: motion(np.arange(0.0, 40.0, 0.1), np.random.default_rng(0)))
 

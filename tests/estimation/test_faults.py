@@ -190,7 +190,7 @@ def test_images_tell_a_frozen_encoder_from_one_that_counts_in_steps_and_rests(mo
     found = estimate(spoil(sound, freeze, sound.features.joints.names[joint]), sound.body, Estimation())
     assert [(f.name, f.kind) for f in found.faults] == [(sound.features.joints.names[joint], "frozen")]
     error, nees = judged(sound, found.joints, found.cov)
-    assert error < 0.02 and nees < 2.0  # 0.06 to 0.14 rad where it is believed
+    assert error < 0.02 and nees < 2.0  # 0.06 to 0.14 rad without the fault's detection
 
 
 @pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])

@@ -1,4 +1,4 @@
-"""Joints that read outside of the limits of their URDF, and readings of other units, which accuse no joint."""
+"""Joints that read outside the limits of their URDF; readings of other units give no warning."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def _texts(joints, values):
 def test_a_joint_that_keeps_its_limits_is_not_named(healthy):
     assert _texts(healthy, healthy.values) == []
     assert _texts(healthy, np.full_like(healthy.values, np.nan)) == []
-    assert _texts(healthy, healthy.values + np.array([0.015, 0.0, 0.0, 0.0])) == []  # 2.005 rad: how 2.00 is rounded
+    assert _texts(healthy, healthy.values + np.array([0.015, 0.0, 0.0, 0.0])) == []  # 2.005 rad: the rounding of 2.00
 
 
 def test_a_joint_outside_is_named_with_how_often_and_by_how_much(healthy):

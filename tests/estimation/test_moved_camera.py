@@ -1,4 +1,4 @@
-"""A camera that moved while it looked: found with its time and size, put back, and never seen where none moved."""
+"""A camera that moved during a log: found with its time and size, corrected, and never found where none moved."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ MOVED = 8.0
 
 
 def moved(features, px, angle, since=MOVED, names=None):
-    """The features with places displaced by px at some angle from a time on."""
+    """The features with positions displaced by px at some angle from a time on."""
     tracks = dict(features.tracks)
     for name in names or tracks:
         off = np.outer(tracks[name].t >= since, px * np.array([np.cos(angle), np.sin(angle)]))
@@ -56,7 +56,7 @@ def test_the_path_is_as_good_as_if_it_had_stayed(method, px):
     assert [fault.kind for fault in found.faults] == ["displaced"] and not sound.faults
     (rmse, nees), (best, _) = judged(world, found.joints, found.cov), judged(world, sound.joints, sound.cov)
     assert rmse < 1.15 * best and nees < 1.3
-    # what is predicted of the track is where this camera shows it
+    # the track's prediction is where this camera shows it
     off = found.predicted["effector"].values - sound.predicted["effector"].values
     assert np.abs(np.hypot(*off[-30:].T) - px).max() < 1.0
 

@@ -1,4 +1,4 @@
-"""Still poses: each pose's belief by its own readings, the encoders' noise and offsets by all poses together."""
+"""Still poses: each estimated from its own readings, with encoder noise and offsets from all poses together."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ POSES, PIXEL = 120, 0.3
 
 
 def _places(q: np.ndarray, camera: float) -> np.ndarray:
-    """Pixels (N,4) of the hand and of a point before it, seen by a pinhole camera turned by `camera` rad."""
+    """Pixels (N,4) of the hand and of a point in front of it, seen by a pinhole camera turned by `camera` rad."""
     out = []
     for fore in (0.39, 0.2):
         pan, lift, elbow = q[:, 0] + camera, q[:, 1], q[:, 2]

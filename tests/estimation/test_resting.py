@@ -1,4 +1,4 @@
-"""Encoders that count in steps and joints that rest: sound ones, of which every method makes true numbers."""
+"""Encoders that count in steps and joints at rest: sound ones, with finite results by every method."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def test_a_quantised_encoder_is_believed_as_far_as_its_step(method, senses, step
     found = estimate(world.features, world.body, Estimation(method=method, senses=senses))
     error, nees = judged(world, found.joints, found.cov)
     assert error < 0.75 * max(step, noise) and nees < 1.8
-    # no encoder is held for better than a microradian, and a joint at rest may be off by half a step
+    # variances are bounded at a microradian, and a joint at rest may be off by half a step
     assert nees > (0.4 if noise else 0.025 if step < 1e-5 else 0.15)
 
 

@@ -1,4 +1,4 @@
-"""What may be asked of a log, and the one line each impossible wish is answered with."""
+"""Selection of senses, and one-line errors for impossible selections."""
 
 from dataclasses import replace
 
@@ -117,7 +117,7 @@ def test_a_silent_joint_is_counted_refused_when_asked_for_and_named_where_it_sta
 
 
 def test_tracks_are_gathered_in_the_logs_order(world):
-    """Else the same log gives other bytes in the next process, whose names hash otherwise."""
+    """Otherwise the same log gives other bytes in another process, with other hashes of names."""
     drawn = world(0, duration=2.0)
     names = ("side/effector", "effector", "tip", "wrist", "back", "arm")
     body = replace(drawn.body, senses=dict.fromkeys(names, drawn.body.senses["effector"]))

@@ -1,4 +1,4 @@
-"""Which encoders are accused over ten seeds of every simulated scenario: the lying ones in time, the others never."""
+"""Encoder faults over ten seeds of every simulated scenario: faulty encoders are found in time, sound ones never."""
 
 from dataclasses import replace
 from hashlib import sha256
@@ -24,13 +24,13 @@ SOUND = (
     ("biased-start", {"duration": 16.0, "variant": "settling"}),
 )
 LYING = (("drift", "drifting", "shoulder_pan_joint", 9.6), ("frozen", "frozen", "elbow_joint", 8.0))
-"""Scenario, the fault, whose, and when (s) it exceeds 0.03 rad or begins."""
+"""Scenario, kind of fault, joint, and the time (s) at which it exceeds 0.03 rad or begins."""
 pytestmark = pytest.mark.soak
 
 
 @pytest.fixture(scope="module")
 def lab(request):
-    """A lab that keeps its logs from run to run, as long as what makes them stays the same."""
+    """A lab that keeps its logs from run to run while their inputs are unchanged."""
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     package = Path(__file__).parents[2] / "bodylog"
     sources = sorted(path for stage in ("sim", "perception", "body") for path in (package / stage).rglob("*.py"))
@@ -90,7 +90,7 @@ def test_a_step_of_some_deviations_is_named_in_every_world(world, size):
 
 
 def test_a_seen_hand_draws_the_belief_when_in_time_only(lab):
-    """Drift of the believed effector toward the hand, px: synchronous at least twenty times asynchronous."""
+    """Drift of the estimated effector toward the hand, px: synchronous at least twenty times asynchronous."""
     for seed in SEEDS:
         body, drift = lab.body("default", seed), {}
         for variant in ("synchronous", "asynchronous"):

@@ -1,4 +1,4 @@
-"""Healthy logs, none of which names a fault: drawn with many settings, recorded, and real robots' joints."""
+"""Healthy logs without any fault found: drawn with many settings, recorded, and joints of real robots."""
 
 from pathlib import Path
 
@@ -32,7 +32,7 @@ READ = (
 
 
 def accused(joints: Series) -> list[str]:
-    """Faults of joints by themselves."""
+    """Faults found in joints alone."""
     m = len(joints.names)
     body = BodyModel(joints.names, {}, Noise((1e-4,) * m, {}, (0.3,) * m), TouchConstants(1.0, 0.005), {})
     found = estimate(Features(joints, {}, None, (), (), {}), body, Estimation())

@@ -1,4 +1,4 @@
-"""Touch in time corrects a wrong start, touch out of time does not, in both forms; the rubber hand; over ten seeds."""
+"""Synchronous touch corrects a wrong start, asynchronous touch does not, in both forms; the rubber hand; ten seeds."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ FORMS = {
     "literal": replace(FELT, method="predictive-coding", precision="fixed", touch="literal"),
 }
 FAINT = 0.001
-"""px: no drift is taken to be less."""
+"""px: lower bound on drift."""
 pytestmark = pytest.mark.soak
 
 
@@ -44,7 +44,7 @@ def bodies(seen):
 
 
 def gained(read, features, learned, settings):
-    """By how much touch brings the effector (px RMS while touched) and the joints (rad RMS) nearer to the truth."""
+    """Improvement by touch of the effector (px RMS while touched) and the joints (rad RMS)."""
     model = learned.senses["effector"]
     start = at_times(read.truth, list(UR5), np.zeros(1))[0] + SHIFT
     found = estimate(features, learned, replace(settings, start=tuple(start)))

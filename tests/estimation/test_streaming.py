@@ -1,4 +1,4 @@
-"""The filter fed message by message against the one that has the whole log."""
+"""The live filter, fed message by message, against the batch filter."""
 
 import gc
 import json
@@ -27,12 +27,12 @@ from tests.seeds import seeds
 
 MODEL = Estimation(precision="model", bias="off")
 ANGLE, SPREAD, NATS = 1e-9, 1e-7, 1e-6
-"""rad · relative to the standard deviations · nats: how far stream and log may be apart."""
+"""rad · relative to the standard deviations · nats: largest difference of live and batch filter."""
 Message = tuple[float, str, object]
 
 
 def messages_of(features: Features, body: BodyModel, late: Callable[[str], float] = lambda sense: 0.0) -> list[Message]:
-    """All a log says as (time, sense, reading), in the order in which it comes when senses are `late` (s)."""
+    """All readings as (time, sense, reading), in order of arrival when senses are `late` (s)."""
     messages: list[tuple[float, Message]] = []
     joints = features.joints
     if joints is not None:
@@ -54,7 +54,7 @@ def step(live: Estimator, messages: Iterable[Message]) -> list[Belief]:
 
 
 def assert_same(beliefs: list[Belief], batch: Estimate) -> None:
-    """The last belief about each output time, all nats, and all errors are the log's."""
+    """The last belief of each output time, all nats and all errors equal the batch filter's."""
     last = {belief.t: belief for belief in beliefs}
     at = [k for k, t in enumerate(batch.joints.t) if t in last]
     assert len(at) > 0.95 * len(batch.joints.t)
@@ -89,7 +89,7 @@ def check(features: Features, body: BodyModel, settings: Estimation = MODEL) -> 
 
 
 def simultaneous(world, seed: int, **options: float) -> tuple[Features, BodyModel]:
-    """Two cameras, pictures at stamps that encoders have, too."""
+    """Two cameras, with images at stamps of encoders."""
     drawn = world(seed, duration=5.0, camera_hz=12.5, **options)
     track, rng = drawn.features.tracks["effector"], np.random.default_rng(seed)
     track = replace(track, t=drawn.features.joints.t[::4][: len(track.t)])

@@ -64,7 +64,7 @@ def test_a_camera_that_stands_still_is_named_by_encoders_on_topics_of_their_own(
 
 
 def test_two_encoders_that_jump_do_not_make_a_resting_arms_camera_lie(world):
-    """What moved by the encoders is judged by what is left of these once their own faults are taken out."""
+    """Encoders are screened for their own faults before they judge a camera."""
     drawn = world(3, duration=14.0, camera_hz=20.0, speed=0.0, encoder_std=0.002, pixel_std=0.1)
     features = freeze(drawn, 0.0)
     joints = features.joints

@@ -1,4 +1,4 @@
-"""What an offset would explain, to first order: held to the evidence of the filter that has one."""
+"""The score test for offsets, against the evidence of the filter with an offset."""
 
 from dataclasses import replace
 from functools import partial
@@ -47,7 +47,7 @@ def test_nothing_is_promised_where_nothing_is_looked_at(world):
 
 @pytest.fixture
 def learned(world):
-    """A body learned from pictures, which errs."""
+    """A body learned from images, with model error."""
     explored = world(1, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
     return body.learn([explored.features], Settings(), {}).model
 
@@ -77,7 +77,7 @@ def test_a_smoothers_lag_counts_against_what_its_way_forth_says(world, learned, 
         drawn = world(seed, duration=120.0, encoder_hz=100.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
         estimate(drawn.features, learned, Estimation(method="smoother"))
     assert len(scored) == 2
-    # a nat for eight half-second spans, from which a log of ten minutes keeps far from GAIN
+    # a nat per eight half-second spans, so a log of ten minutes stays far from GAIN
     assert max(gain.max() for gain, _, _ in scored) < -30.0
 
 

@@ -1,4 +1,4 @@
-"""A sense of six rows that err together: a tag's pose, read, predicted and used by the filter."""
+"""A sense of six correlated rows: a tag's pose, read, predicted and used by the filter."""
 
 from dataclasses import dataclass, replace
 

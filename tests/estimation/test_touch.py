@@ -1,4 +1,4 @@
-"""Touch: a synchronous one tells where the arm is, an asynchronous one hardly anything."""
+"""Touch: a synchronous touch locates the arm, an asynchronous one has hardly any weight."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ BLIND = Estimation(senses=("encoders", "touch"), precision="model", bias="on")
 
 
 def biased(drawn, stroked, weight):
-    """Encoders 0.03 rad off in one joint, no effector in view, strokes on the effector of the given weight."""
+    """Encoders 0.03 rad off in one joint, no effector in view, strokes on the effector with the given weight."""
     features = stroked(drawn, weight)
     joints = features.joints
     values = joints.values + 0.03 * (np.array(joints.names) == "pan")

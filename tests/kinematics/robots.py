@@ -42,11 +42,11 @@ MIXED = """<robot name="mixed">
     <axis xyz="0 1 0"/></joint>
 </robot>
 """
-"""A slide, a turn about an axis that points down, a joint that follows it, and a branch."""
+"""A prismatic joint, a joint with a downward axis, a joint that mimics it, and a branch."""
 
 
 def rig(doubt: float = np.radians(5.0), known: bool = True, text: str = ARM) -> Rig:
-    """A camera 1.8 m before the arm, known to a centimetre and a degree or not at all, and a point on the tool."""
+    """A camera 1.8 m before the arm, known to a centimetre and a degree or unknown, and a point on the tool."""
     robot = urdf.parse(text, "arm.urdf")
     pose = np.array([0.01] * 3 + [np.radians(1.0)] * 3) if known else np.full(6, 10.0)
     lens_doubt = np.array([0.01, 0.002, 3.0, 3.0, 0.01, 0.01]) if known else np.array([0.4, 0.02, 30.0, 30.0, 0.2, 0.2])
@@ -57,7 +57,7 @@ def rig(doubt: float = np.radians(5.0), known: bool = True, text: str = ARM) -> 
 
 
 def board() -> Rig:
-    """The same with a flat board of 4 × 3 corners on the tool, at a pose that is unknown, before an unknown camera."""
+    """The same with a flat board of 4 × 3 corners on the tool, at an unknown pose, before an unknown camera."""
     one = rig(known=False)
     grid = np.stack(np.meshgrid(np.arange(4), np.arange(3)), axis=-1).reshape(-1, 2) * 0.05
     points = np.column_stack([grid, np.zeros(12)])
@@ -75,7 +75,7 @@ def camera_pose() -> np.ndarray:
 
 
 def truth(one: Rig, offsets: dict[str, float] | None = None, seed: int = 0) -> np.ndarray:
-    """θ (P,) a little off what was held beforehand, the point 4 cm from the tool, and these joints' zeros, rad."""
+    """θ (P,) a little off its prior mean, the point 4 cm from the tool, and these joint zeros, rad."""
     mean, std = one.prior
     draw = np.random.default_rng(seed)
     theta = mean + draw.normal(0.0, 1.0, len(mean)) * np.minimum(std, 0.05) * 0.5
@@ -93,6 +93,6 @@ def angles(count: int, seed: int = 1) -> np.ndarray:
 
 
 def seen(one: Rig, theta: np.ndarray, q: np.ndarray, noise: float, seed: int = 2) -> Sighted:
-    """What the first sight shows, with noise in px."""
+    """Image points of the first sight, with noise in px."""
     image = one.see(one.sights[0], theta, q).image
     return Sighted(q, image + np.random.default_rng(seed).normal(0.0, noise, image.shape), np.zeros(image.shape))

@@ -1,4 +1,4 @@
-"""Projection, rotations and what a rig sees, against finite differences and themselves."""
+"""Projection, rotations and a rig's predictions, against finite differences and each other."""
 
 from dataclasses import replace
 

@@ -26,7 +26,7 @@ def test_poses_are_those_of_another_library(text, start, end, tmp_path):
 
 def ends_of(pybullet, text, angles, folder):
     """Poses (4,4) of all links in the base, by PyBullet."""
-    limits = '<limit lower="-9" upper="9" effort="1" velocity="1"/></joint>'  # without which it reads none
+    limits = '<limit lower="-9" upper="9" effort="1" velocity="1"/></joint>'  # without limits it reads none
     (folder / "robot.urdf").write_text(text.replace("</joint>", limits))
     client = pybullet.connect(pybullet.DIRECT)
     try:
@@ -37,7 +37,7 @@ def ends_of(pybullet, text, angles, folder):
 
 
 def _linked(pybullet, client, body, angles):
-    """Poses (4,4) of all links in the world, followers set by hand, which PyBullet does not."""
+    """Poses (4,4) of all links in the world; mimic joints are set by hand, which PyBullet does not do."""
     ends = {pybullet.getBodyInfo(body, client)[0].decode(): np.eye(4)}
     count = pybullet.getNumJoints(body, client)
     names = [pybullet.getJointInfo(body, k, client) for k in range(count)]

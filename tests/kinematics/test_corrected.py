@@ -25,7 +25,7 @@ def test_zeros_move_by_just_what_was_written(tmp_path):
     angles = {"rail": 0.1, "turn": -0.4, "side": 0.3}
     moved = {name: angles[name] + ZEROS[name] for name in angles}
     old, new = ends_of(pybullet, MIXED, moved, tmp_path), ends_of(pybullet, text, angles, tmp_path)
-    for link in ("b", "c", "e"):  # d follows, which PyBullet does not read
+    for link in ("b", "c", "e"):  # d mimics another joint, which PyBullet ignores
         np.testing.assert_allclose(new[link], old[link], atol=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""A thing's pose in the robot's base, its covariance, and what of it is scored."""
+"""A thing's pose in the robot's base, its covariance, and its scores."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Joints' scales as unknowns: slopes by finite differences, found as they are, none claimed where they are right."""
+"""Joint scales as unknowns: derivatives by finite differences, found where wrong, not claimed where right."""
 
 from dataclasses import replace
 
@@ -64,7 +64,7 @@ def test_a_pose_is_as_sure_as_readings_and_scales_are():
 
 
 def test_a_joint_that_reads_three_percent_too_little_is_found_and_others_are_not_accused():
-    """Over 10 seeds and two joints: within 2σ, and as sure as that says."""
+    """Over 10 seeds and two joints: within 2σ, with true error bars."""
     standard, of_others = [], []
     for seed in range(10):
         rig, m = scaled(robots.rig()), 1 + seed % 2

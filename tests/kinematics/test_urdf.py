@@ -1,4 +1,4 @@
-"""What a URDF says, and what is refused of it by name."""
+"""Parsing a URDF, and errors that name what is wrong."""
 
 import numpy as np
 import pytest
