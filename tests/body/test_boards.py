@@ -52,7 +52,7 @@ def learned(explored):
     return learn([explored], Settings(), body.learn([explored], Settings(), {}, None, True), given())
 
 
-def test_corners_are_foretold_by_one_calibration(learned):
+def test_corners_are_predicted_by_one_calibration(learned):
     q = robots.angles(200, seed=8)
     names = list(learned.model.senses)
     found = list(learned.model.senses.values())
@@ -96,7 +96,7 @@ def test_a_file_keeps_each_corner_to_the_last_bit(learned, tmp_path):
         assert one == other
 
 
-def test_slopes_are_finite_differences_and_one_point_is_as_many(learned):
+def test_slopes_are_finite_differences_and_one_point_equals_many(learned):
     gp, x = next(iter(learned.model.senses.values())), robots.angles(4, seed=3)
     value, slope, spread = gp.predict(x)
     numeric = [(gp.predict(x + s)[0] - gp.predict(x - s)[0]) / (2 * STEP) for s in STEP * np.eye(4)]

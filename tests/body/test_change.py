@@ -77,7 +77,7 @@ def test_a_camera_that_was_pushed_is_no_joint(known):
     assert (one.kind, one.name) == ("camera", "camera") and abs(one.value[4] - 0.03) < 3 * one.std[4]
 
 
-def test_sightings_of_something_else_do_not_count(known):
+def test_false_sightings_do_not_count(known):
     features = run(offset={"elbow": 2 * DEGREE})
     track = features.tracks["effector"]
     wrong = track.values.copy()
@@ -103,7 +103,7 @@ def _estimate(features, known, **settings):
     return found, change_findings.compared(features, known, found, chosen.estimate)
 
 
-def test_an_estimate_names_it_once_with_its_std(known):
+def test_an_estimate_names_a_change_once_with_its_std(known):
     found, estimated = _estimate(run(offset={"elbow": 3 * DEGREE}), known)
     assert [fault.kind for fault in found.faults] == ["drifting"]
     (fault,) = estimated.faults
@@ -119,7 +119,7 @@ def test_a_slip_that_the_filter_names_is_left_to_it(known):
     assert estimated.faults == found.faults and len(found.faults) == 1
 
 
-def test_nothing_is_laid_to_joints_of_what_a_camera_shows_once_it_was_pushed(known):
+def test_a_pushed_camera_is_not_attributed_to_joints(known):
     features = run(duration=14.0)
     found, _ = _estimate(features, known)
     track = features.tracks["effector"]
@@ -152,7 +152,7 @@ def test_ambiguous_changes_are_named_together(known):
 
 
 @pytest.mark.soak
-def test_over_many_draws_no_sound_run_is_accused_and_sizes_are_as_sure_as_they_say():
+def test_over_many_draws_sound_runs_have_no_change_and_sizes_have_true_error_bars():
     draw, within, count, false = np.random.default_rng(7), 0, 0, 0
     for seed in range(10):
         one = explored(seed)

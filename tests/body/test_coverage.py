@@ -7,7 +7,7 @@ from bodylog.body.gp.fit import samples, train
 from bodylog.body_model import Noise
 
 
-def test_influence_is_how_far_each_input_moved_the_outputs() -> None:
+def test_influence_is_the_rms_effect_of_each_input() -> None:
     draw = np.random.default_rng(0)
     x = draw.normal(0, [0.2, 0.1, 0.2], (80, 3))
     y = np.column_stack([100 * x[:, 0], 50 * x[:, 1]]) + draw.normal(0, 0.01, (80, 2))
@@ -15,7 +15,7 @@ def test_influence_is_how_far_each_input_moved_the_outputs() -> None:
     assert np.allclose(influence(train(samples(x, y), ("u", "v"), "px")), expected, atol=0.1)
 
 
-def test_joints_vision_says_nothing_about_are_named(explored) -> None:
+def test_joints_that_vision_does_not_observe_are_named(explored) -> None:
     run = explored(0, 0.003, 15.0)
     known = joints([run.features], None)
     x = run.angles.copy()

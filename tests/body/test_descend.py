@@ -27,7 +27,7 @@ def test_a_bowl_is_descended_in_one_step_with_its_own_curvature(seed: int) -> No
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_bounds_hold_and_what_they_leave_is_least(seed: int) -> None:
+def test_bounds_hold_and_free_variables_are_minimised(seed: int) -> None:
     curvature, centre = _bowl(seed, 3)
 
     def loss(x: Array) -> tuple[float, Array]:
@@ -49,7 +49,7 @@ def test_a_bent_valley_is_followed_to_its_end() -> None:
     assert np.allclose(descend(rosenbrock, np.array([-1.2, 1.0]), -wide, wide, np.eye(2)), 1.0, atol=1e-3)
 
 
-def test_it_stops_where_nothing_can_be_gained() -> None:
+def test_it_stops_without_descent() -> None:
     wide = np.ones(2)
     assert np.array_equal(descend(lambda x: (0.0, np.zeros(2)), np.zeros(2), -wide, wide, np.eye(2)), np.zeros(2))
     # a wrong gradient: no step finds a lower value

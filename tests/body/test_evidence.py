@@ -42,7 +42,7 @@ def _dense(theta: Array, x: Array, y: Array, spread: Spread) -> float:
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), inputs=st.integers(1, 6), outputs=st.integers(1, 3))
-def test_evidence_is_the_dense_formula_and_its_gradient_the_difference(seed: int, inputs: int, outputs: int) -> None:
+def test_evidence_and_gradient_are_those_of_the_dense_formula(seed: int, inputs: int, outputs: int) -> None:
     theta, x, y, spread = _problem(seed, 25, inputs, outputs)
     value, gradient = evidence(theta, x, y, spread)
     assert value == pytest.approx(_dense(theta, x, y, spread), rel=1e-9)
@@ -65,7 +65,7 @@ def test_maximise_finds_the_kernel_that_drew_the_data(seed: int) -> None:
     assert found.noise == pytest.approx(truth.noise, rel=0.4)
 
 
-def test_prior_decides_where_the_data_say_nothing() -> None:
+def test_the_prior_decides_without_information() -> None:
     draw = np.random.default_rng(0)
     x = np.column_stack([draw.uniform(-1, 1, 60), draw.normal(0, 1e-3, 60)])
     y = np.sin(2 * x[:, :1]) + draw.normal(0, 0.05, (60, 1))
@@ -85,7 +85,7 @@ def test_jitter_saves_a_singular_matrix_and_zeros_stay_above_the_diagonal() -> N
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("count", [15, 46, 150])
 @pytest.mark.parametrize("prior", [FLAT, ROTATION])
-def test_one_descent_finds_what_many_find(seed: int, count: int, prior: Prior, camera) -> None:
+def test_one_descent_equals_the_best_of_many(seed: int, count: int, prior: Prior, camera) -> None:
     draw = np.random.default_rng(seed)
     x = draw.uniform([-0.8, -0.4, 0.1], [0.8, 0.9, 1.2], (count, 3))
     y = (camera(x) + draw.normal(0, 0.3, (count, 2))) / 40.0

@@ -96,7 +96,7 @@ def test_covariance_has_the_variance_on_its_diagonal() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_amplitude_costs_no_digits(seed: int) -> None:
+def test_a_large_amplitude_loses_no_digits(seed: int) -> None:
     """A mean is as exact as its largest terms, however large the amplitude."""
     draw = np.random.default_rng(seed)
     centres, weights = draw.uniform(-1, 1, (60, 3)), draw.normal(0, 1, (2, 60))
@@ -120,7 +120,7 @@ def test_far_away_it_falls_back_to_the_constant_mean_and_full_variance() -> None
         assert np.allclose(one, all_of_them[0])
 
 
-def test_blocks_give_what_single_points_give() -> None:
+def test_blocks_equal_single_points() -> None:
     gp = _random(2, 400, 2, 2, True)
     x = np.random.default_rng(0).uniform(-2, 2, (3000, 2))
     value, slope, spread = gp.predict(x)
@@ -153,7 +153,7 @@ def test_awkward_data_still_give_a_finite_model(case: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_errors_go_apart_as_reach_says(seed: int) -> None:
+def test_errors_decorrelate_over_reach(seed: int) -> None:
     draw = np.random.default_rng(seed)
     x = draw.uniform(-1, 1, (80, 3))
     gp = train(samples(x, np.stack([np.sin(x.sum(axis=1)), np.cos(2 * x[:, 0])], axis=1)), ("u", "v"), "px", seed)

@@ -26,7 +26,7 @@ def test_residuals_are_those_of_a_fit_without_the_block(count: int) -> None:
     assert np.allclose(variance[rows, 0], spread, rtol=0.02)
 
 
-def test_coupled_noise_is_not_taken_for_signal() -> None:
+def test_coupled_noise_is_not_fitted_as_signal() -> None:
     draw = np.random.default_rng(1)
     x = np.linspace(-1, 1, 200)[:, None]
     lag = np.abs(np.arange(200)[:, None] - np.arange(200))

@@ -61,7 +61,7 @@ def _truth(q, bend=3.0):
     return rig.see(rig.sights[0], robots.truth(rig, OFFSETS), q).image[:, 0] + _bent(q, bend)
 
 
-def test_it_foretells_better_than_a_process_alone_and_says_how_well(plain, learned):
+def test_it_predicts_better_than_a_process_alone_with_true_error_bars(plain, learned):
     q = robots.angles(300, seed=8)
     alone, both = plain.model.senses["effector"], learned.model.senses["effector"]
     assert isinstance(both, KinematicGP)
@@ -72,7 +72,7 @@ def test_it_foretells_better_than_a_process_alone_and_says_how_well(plain, learn
     assert 0.4 < standard.mean() < 1.6 and (standard < 4).mean() > 0.9
 
 
-def test_beyond_what_was_explored_it_follows_kinematics_and_its_error_bars_grow(plain, learned):
+def test_beyond_the_exploration_it_follows_kinematics_and_error_bars_grow(plain, learned):
     q = robots.angles(300, seed=8) * [2.0, 1.0, 1.0, 1.0]
     beyond = np.abs(q[:, 0]) > 0.8
     alone, both = plain.model.senses["effector"], learned.model.senses["effector"]
@@ -84,7 +84,7 @@ def test_beyond_what_was_explored_it_follows_kinematics_and_its_error_bars_grow(
     assert (standard < 4).mean() > 0.85
 
 
-def test_slopes_are_finite_differences_and_one_point_is_as_many(learned):
+def test_slopes_are_finite_differences_and_one_point_equals_many(learned):
     gp, x = learned.model.senses["effector"], robots.angles(6, seed=3)
     value, slope, spread = gp.predict(x)
     numeric = [(gp.predict(x + s)[0] - gp.predict(x - s)[0]) / (2 * STEP) for s in STEP * np.eye(4)]
@@ -105,7 +105,7 @@ def test_zeros_are_found_and_unidentified_ones_are_named(learned):
     assert any("pan: its zero cannot be separated from camera's" in line for line in text)
 
 
-def test_a_file_keeps_it_to_the_last_bit(learned, tmp_path):
+def test_a_file_keeps_the_model_to_the_last_bit(learned, tmp_path):
     files.save(learned.model, tmp_path / "body.npz")
     found, x = files.load(tmp_path / "body.npz"), robots.angles(5, seed=4)
     both = (one.senses["effector"].predict(x) for one in (found, learned.model))
@@ -151,7 +151,7 @@ def test_another_robots_urdf_is_named_and_not_used(plain, which):
     assert answer.severity == "warning" and answer.text.startswith("the URDF is not used: ")
 
 
-def test_a_joint_that_the_log_lacks_is_named(plain):
+def test_a_joint_without_readings_is_named(plain):
     lifted = ARM.replace('<link name="base"/>', '<link name="base"/><link name="rail"/>').replace(
         '<joint name="lift"',
         '<joint name="lifter" type="prismatic"><parent link="rail"/><child link="turret"/></joint><joint name="lift"',
@@ -170,7 +170,7 @@ def test_a_urdf_without_a_joint_of_the_log_is_refused(plain):
         learn([features()], Settings(), plain, given(text))
 
 
-def test_an_error_that_lasts_is_found_and_stated():
+def test_a_slow_error_is_found_and_stated():
     sizes = {}
     for drift in (0.0, 2.0):
         some = features(bend=0.0, drift=drift)
@@ -190,7 +190,7 @@ def _rows(count=25, unknowns=3):
     return Rows(x, draw.normal(size=(count, 2)), draw.normal(size=(count, 2, unknowns)), spread)
 
 
-def test_evidence_is_that_of_the_whole_covariance_and_its_gradient_right():
+def test_evidence_is_that_of_the_full_covariance_with_its_gradient():
     rows, kernel = _rows(), Hyper(np.array([0.7, 1.2]), 0.8, 0.2)
     value, gradient = evidence(kernel.theta, rows)
     assert value == pytest.approx(_whole(rows, kernel)[0], rel=1e-6)
@@ -210,7 +210,7 @@ def _whole(rows, kernel):
     return -0.5 * fit, cov
 
 
-def test_held_out_is_what_the_others_foretell():
+def test_held_out_residuals_are_predictions_by_the_others():
     rows, kernel = _rows(), Hyper(np.array([0.7, 1.2]), 0.8, 0.2)
     z = rows.x / kernel.scales
     chol = cholesky(se(z, z, kernel.amplitude), rows.spread, kernel.noise)

@@ -33,7 +33,7 @@ def _updated(known, more, settings=None):
     return plain, body.with_kinematics([more], settings, plain, None, known)
 
 
-def test_it_keeps_chain_and_base_and_knows_more(known):
+def test_an_update_keeps_chain_and_base_and_reduces_uncertainty(known):
     _, found = _updated(known, features(25, seed=7))
     before, after = known.senses["effector"], found.model.senses["effector"]
     assert isinstance(after, KinematicGP) and len(after.samples) == 50
@@ -50,7 +50,7 @@ def test_it_keeps_chain_and_base_and_knows_more(known):
     assert errors[1] < 1.2 * errors[0]
 
 
-def test_without_a_urdf_on_purpose_it_is_learned_without(known):
+def test_no_urdf_learns_without_kinematics(known):
     plain, found = _updated(known, features(25, seed=7), Settings(kinematics=Kinematics(use=False)))
     assert found is plain
 

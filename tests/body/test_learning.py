@@ -62,7 +62,7 @@ def test_the_same_logs_give_the_same_bytes(explored, tmp_path: Path) -> None:
     assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
 
 
-def test_two_logs_teach_more_than_one(explored) -> None:
+def test_two_logs_are_better_than_one(explored) -> None:
     logs, test = [explored(seed, 0.003, 20.0) for seed in (1, 2)], explored(9, 0.003, 20.0)
 
     def error(features: Sequence[Features]) -> float:
@@ -72,7 +72,7 @@ def test_two_logs_teach_more_than_one(explored) -> None:
     assert error([run.features for run in logs]) < 0.9 * min(error([run.features]) for run in logs)
 
 
-def test_a_body_learns_on_from_another_log(explored) -> None:
+def test_a_body_is_updated_from_another_log(explored) -> None:
     first, second, test = (explored(seed, 0.003, 20.0) for seed in (1, 2, 9))
     once = learn([first.features], Settings(), {})
     twice = learn([second.features], Settings(), {}, once.model)
@@ -147,7 +147,7 @@ def test_a_named_joint_that_did_not_move_is_kept_with_a_warning(explored) -> Non
     assert (far > 100 * near).all()
 
 
-def test_nothing_to_learn_from_is_an_error_that_says_so(explored) -> None:
+def test_nothing_to_learn_from_is_an_error(explored) -> None:
     features = explored(0, 0.003, 10.0).features
     with pytest.raises(EvidenceError, match="no track to learn from, though 3 joints moved"):
         learn([replace(features, tracks={})], Settings(), {})
@@ -166,7 +166,7 @@ def _warnings(found: Learned) -> list[str]:
     return [f.text for f in found.findings if f.severity == "warning"]
 
 
-def test_a_joint_that_is_never_a_number_is_named(explored) -> None:
+def test_a_joint_without_finite_readings_is_named(explored) -> None:
     features = _with_readings(explored(0, 0.003, 10.0).features, 2, np.nan)
     found = learn([features], Settings(), {})
     assert found.model.joints == ("pan", "lift")
@@ -179,7 +179,7 @@ def test_a_joint_that_is_never_a_number_is_named(explored) -> None:
         learn([replace(features, joints=replace(features.joints, values=values))], Settings(), {})
 
 
-def test_readings_that_no_joint_can_have_are_left_out_by_name(explored) -> None:
+def test_impossible_readings_are_left_out_by_name(explored) -> None:
     whole = explored(0, 0.003, 10.0).features
     found = learn([_with_readings(whole, 1, 1e300, slice(100, 103))], Settings(), {})
     assert "lift: 3 of 1000 readings in log 1 left out: no joint reaches 1e+300 rad" in _warnings(found)
@@ -194,7 +194,7 @@ def test_logs_of_two_robots_are_refused(explored) -> None:
         learn([features, other], Settings(), {})
 
 
-def test_a_joint_that_moved_unasked_is_named(explored) -> None:
+def test_an_unselected_joint_that_moved_is_named(explored) -> None:
     found = learn([explored(0, 0.003, 10.0).features], Settings(body=Body(joints=("pan", "lift"))), {})
     moved = [text for text in _warnings(found) if "not among the joints learned" in text]
     assert len(moved) == 1 and moved[0].startswith("elbow: moved ")
@@ -213,7 +213,7 @@ def _standardised(explored: Callable, encoder: float, seed: int) -> dict[str, Ar
 
 @pytest.mark.parametrize("encoder", [0.0005, 0.02])
 @pytest.mark.parametrize("seeds", [4, pytest.param(20, marks=pytest.mark.soak)])
-def test_it_knows_how_wrong_it_is(explored, encoder: float, seeds: int) -> None:
+def test_a_body_has_true_error_bars(explored, encoder: float, seeds: int) -> None:
     runs = [_standardised(explored, encoder, seed) for seed in range(seeds)]
     # the bound is for 20 runs together; 4 of them scatter more
     slack = 1.0 if seeds == 20 else 1.5
@@ -262,7 +262,7 @@ def test_encoders_that_read_squares_are_estimated_with_the_model_given(explored,
     assert np.abs(found.joints.values[-20:].mean(axis=0) - at).max() < 0.02
 
 
-def test_learning_on_keeps_what_was_given_and_felt(explored) -> None:
+def test_an_update_keeps_given_senses_and_touch(explored) -> None:
     features = explored(0, 0.003, 15.0).features
     once = learn([features], Settings(), {}).model
     read = Polynomial(once.joints, np.tile([0.0, 1.0], (3, 1)))

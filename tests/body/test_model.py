@@ -28,7 +28,7 @@ def body() -> BodyModel:
     return BodyModel(("pan", "lift"), senses, noise, touch, {"logs": {"a.mcap": "ff"}}, cells)
 
 
-def test_what_is_saved_is_what_is_loaded(body: BodyModel, tmp_path: Path) -> None:
+def test_saving_and_loading_are_inverse(body: BodyModel, tmp_path: Path) -> None:
     save(body, tmp_path / "body.npz")
     found = load(tmp_path / "body.npz")
     for field in ("joints", "noise", "touch", "provenance", "cells"):
@@ -176,7 +176,7 @@ def test_a_broken_model_is_refused_by_name(kind: str, body: BodyModel, tmp_path:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_no_flipped_byte_gets_through(seed: int, body: BodyModel, tmp_path: Path) -> None:
+def test_every_flipped_byte_is_noticed(seed: int, body: BodyModel, tmp_path: Path) -> None:
     path = tmp_path / "body.npz"
     save(body, path)
     whole, draw = bytearray(path.read_bytes()), np.random.default_rng(seed)
@@ -208,7 +208,7 @@ def test_only_gaussian_processes_can_be_saved(body: BodyModel, tmp_path: Path) -
     assert not list(tmp_path.iterdir())
 
 
-def test_bodies_with_the_touch_constants_of_before_are_read(body: BodyModel, tmp_path: Path) -> None:
+def test_older_touch_constants_are_read(body: BodyModel, tmp_path: Path) -> None:
     path = tmp_path / "old.npz"
     save(body, path)
     units = {"joints": "rad", "encoder": "rad^2", "process": "rad^2/s^3", "b1": "1/px^2", "b2": "1/s^2", "cells": "px"}

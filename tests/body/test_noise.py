@@ -7,7 +7,7 @@ from bodylog.body.noise_estimates import learned, pooled
 from bodylog.body_model import Noise
 
 
-def test_pixel_variance_is_what_perception_measured_and_what_the_fit_adds() -> None:
+def test_pixel_variance_is_the_stated_one_plus_the_fits() -> None:
     draw = np.random.default_rng(0)
     x = draw.uniform(-1, 1, (200, 1))
     y = np.column_stack([50 * x[:, 0], 20 * x[:, 0]]) + draw.normal(0, 0.5, (200, 2))
@@ -40,7 +40,7 @@ def test_variances_of_two_logs_are_weighed_by_their_readings() -> None:
     assert both.senses["effector"] == pytest.approx(((0.01 + 0.04) / 2, (400 * 0.02 + 100 * 0.04) / 500))
 
 
-def test_variances_known_to_one_alone_are_its_own() -> None:
+def test_variances_of_one_log_alone_are_kept() -> None:
     new, old = Noise((1e-4,), {}, (0.3,), {}), Noise((2e-4,), {"effector": (0.1, 0.1)}, (0.1,), {})
     both = pooled(new, old)
     assert (both.encoder, both.process, both.senses) == ((1e-4,), (0.3,), {"effector": (0.1, 0.1)})

@@ -8,7 +8,7 @@ from bodylog.errors import ConfigError, LogError
 
 
 @pytest.mark.parametrize("encoder", [0.0, 0.0005, 0.02])
-def test_joints_that_only_carry_noise_do_not_move(explored, encoder: float) -> None:
+def test_joints_with_noise_alone_do_not_move(explored, encoder: float) -> None:
     found = joints([explored(0, encoder, 20.0).features], None)
     assert [j.name for j in found if moves(j)] == ["pan", "lift", "elbow"]
 
@@ -27,7 +27,7 @@ def test_a_log_without_readings_is_named(explored) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_angles_beside_sightings_are_better_than_readings_and_know_it(explored, seed: int) -> None:
+def test_angles_beside_sightings_are_better_than_readings_with_true_variance(explored, seed: int) -> None:
     run = explored(seed, 0.02, 20.0)
     chosen = joints([run.features], ("pan", "lift", "elbow"))
     part = pairs([run.features], "effector", chosen, 1)
@@ -52,7 +52,7 @@ def test_only_sightings_with_angles_are_paired(explored) -> None:
 
 
 @pytest.mark.parametrize("part", [slice(None), slice(0, 1)])
-def test_sightings_while_encoders_were_silent_for_long_teach_nothing(explored, part: slice) -> None:
+def test_sightings_in_long_encoder_gaps_are_dropped(explored, part: slice) -> None:
     features = explored(0, 0.003, duration=20.0).features
     readings = features.joints
     assert readings is not None

@@ -77,7 +77,7 @@ def _shifted(features: Features, names, by: np.ndarray) -> Features:
     return replace(features, joints=replace(features.joints, values=values))
 
 
-def test_real_poses_are_foretold_to_less_than_a_pixel(motoman):
+def test_real_poses_are_predicted_to_less_than_a_pixel(motoman):
     learned, _, result = motoman
     found = {score.name: score.value for score in result.scores}
     often = [n for n in learned.senses if found.get(f"sightings/test/{n}", 0) >= 35]
@@ -97,7 +97,7 @@ def test_an_encoder_that_is_off_is_named_among_real_ones(motoman, size, joints):
     assert pipeline.infer(features, learned, Settings()).faults == ()
 
 
-def test_noisy_encoders_of_real_poses_are_mended(motoman):
+def test_noisy_encoders_of_real_poses_are_corrected(motoman):
     learned, features, _ = motoman
     columns = [features.joints.names.index(name) for name in learned.joints]
     read = features.joints.values[:, columns]

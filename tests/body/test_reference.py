@@ -42,7 +42,7 @@ def _score(learned: Learned, name: str) -> float:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("reading", [np.square, _square, _bent, lambda x: 0.01 + 1.02 * x])
-def test_what_encoders_read_is_learned_to_a_fraction_of_their_noise(explored, seed, reading) -> None:
+def test_encoder_functions_are_learned_to_a_fraction_of_their_noise(explored, seed, reading) -> None:
     learned = learn([_read(explored, seed, reading)], Settings(), {})
     model = learned.model.senses["encoders"]
     x = explored(seed, 0.0, 20.0).angles
@@ -62,7 +62,7 @@ def test_encoders_that_read_the_angle_itself_get_no_model(explored, seed) -> Non
     assert learned.findings[-1].text == "encoders: by the reference they read the angles themselves"
 
 
-def test_several_logs_teach_together(explored) -> None:
+def test_several_logs_are_learned_together(explored) -> None:
     one = [_read(explored, seed, _square, 0.05, 10.0) for seed in range(3)]
     alone, together = (learn(logs, Settings(), {}).model.senses["encoders"] for logs in (one[:1], one))
     x = np.column_stack([np.linspace(low, low + 0.6, 50) for low in (-0.3, 0.0, 0.3)])
@@ -84,7 +84,7 @@ def test_a_log_without_reference_is_estimated(explored, tmp_path, reading, metho
     assert np.sqrt(np.square(error[late]).mean()) < (0.03 if method == "predictive-coding" else 0.006)
 
 
-def test_squares_about_zero_hide_the_sign_and_the_start_decides(explored) -> None:
+def test_squares_about_zero_are_ambiguous_and_the_start_decides(explored) -> None:
     body = learn([_read(explored, 0, np.square)], Settings(), {}).model
     at, t = np.array([0.5, 0.4, 0.6]), np.arange(0.0, 12.0, 0.02)
     still = explored(0, 0.0, 12.0).features
@@ -102,7 +102,7 @@ def test_squares_about_zero_hide_the_sign_and_the_start_decides(explored) -> Non
         assert 0.5 < np.square(found.errors["encoders"].values[-300:]).mean() < 1.5
 
 
-def test_readings_become_angles_by_name_and_go_straight_on_beyond_what_was_explored(explored) -> None:
+def test_readings_become_angles_by_name_and_extrapolate_linearly(explored) -> None:
     body = learn([_read(explored, 0, _bent)], Settings(), {}).model
     low, high = body.senses["effector"].samples.min(axis=0), body.senses["effector"].samples.max(axis=0)
     x = np.linspace(low - 0.02, high + 0.02, 400)
@@ -117,7 +117,7 @@ def test_readings_become_angles_by_name_and_go_straight_on_beyond_what_was_explo
     assert (angled.joints.values[:, 3] == 7.0).all() and set(plain.senses) == {"effector"}
 
 
-def test_learning_on_without_a_reference_reads_by_the_body_known(explored) -> None:
+def test_an_update_without_a_reference_uses_the_bodys_encoder_function(explored) -> None:
     once = learn([_read(explored, 0, _square)], Settings(), {}).model
     more = replace(_read(explored, 0, _square, duration=10.0), reference=None)
     again = learn([more], Settings(), {}, once).model
@@ -127,7 +127,7 @@ def test_learning_on_without_a_reference_reads_by_the_body_known(explored) -> No
     assert np.sqrt(np.mean(error**2)) < 0.25
 
 
-def test_what_is_missing_is_named(explored) -> None:
+def test_missing_encoders_and_readings_are_named(explored) -> None:
     features = _read(explored, 0, np.square)
     short = replace(features.joints, t=features.joints.t[:50], values=features.joints.values[:50])
     with pytest.raises(EvidenceError, match="pan: 50 readings during the reference, at least 200"):

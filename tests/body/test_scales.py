@@ -43,7 +43,7 @@ def test_the_scale_is_found_with_its_uncertainty_and_reported(learned):
     assert all(abs(one.value) < 2 * one.std for one in by_joint.values() if one.identifiable and one is not lift)
 
 
-def test_it_is_printed_and_written(learned, run_cli, capsys):
+def test_the_scale_is_printed_and_written(learned, run_cli, capsys):
     folder, _ = learned
     for name in ("zeros.yaml", "zeros.json"):
         assert run_cli("offsets", folder / "body.npz", "--json", "-o", folder / name) == 0
@@ -58,7 +58,7 @@ def test_it_is_printed_and_written(learned, run_cli, capsys):
     assert "scale lift: +" in capsys.readouterr().out
 
 
-def test_a_file_keeps_it_to_the_last_bit_and_names_what_contradicts_itself(learned, monkeypatch):
+def test_a_file_keeps_the_scale_and_inconsistent_fields_are_named(learned, monkeypatch):
     folder, _ = learned
     found = files.load(folder / "body.npz")
     sense, x = found.senses["effector"], angles(5, 4)
@@ -83,13 +83,13 @@ def test_a_file_keeps_it_to_the_last_bit_and_names_what_contradicts_itself(learn
             files.load(folder / "bad.npz")
 
 
-def test_learning_on_begins_with_it(learned):
+def test_an_update_starts_from_the_scale(learned):
     sense = files.load(learned[0] / "body.npz").senses["effector"]
     rig, theta = update._whole({"effector": sense})
     assert np.array_equal(theta, sense.theta) and len(rig.prior[0]) == len(theta)
 
 
-def test_without_a_doubt_scales_are_taken_to_be_right(learned, run_cli, capsys):
+def test_without_a_prior_scales_are_fixed(learned, run_cli, capsys):
     folder, _ = learned
     (folder / "robot.toml").write_text("[kinematics]\nscale_prior = 0.5\n")
     typed = ("fit", folder / "poses.csv", "-o", folder / "no.npz", "--config", folder / "robot.toml")

@@ -59,7 +59,7 @@ def test_evidence_finds_the_noise_and_its_own_error_bar(encoder: float) -> None:
     assert 0.3 < np.mean(np.square(wrong)) < 2.5
 
 
-def test_two_logs_tell_more_than_one() -> None:
+def test_two_logs_have_more_evidence_than_one() -> None:
     draw = np.random.default_rng(0)
     t = np.arange(0, 10, 0.02)
     logs = [chain(t, np.sin(t + k) + draw.normal(0, 0.01, len(t))) for k in range(2)]
@@ -69,7 +69,7 @@ def test_two_logs_tell_more_than_one() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_smoothed_angles_are_as_good_as_they_say(seed: int) -> None:
+def test_smoothed_angles_have_true_error_bars(seed: int) -> None:
     draw = np.random.default_rng(seed)
     t = np.arange(0, 20, 0.02)
     truth = 0.4 * np.sin(0.9 * t) + 0.2 * np.sin(2.1 * t + seed)
@@ -89,7 +89,7 @@ def test_angles_are_unknown_outside_the_readings_and_gaps_widen_error_bars() -> 
     assert variance[2] > 50 * variance[1]
 
 
-def test_readings_out_of_order_repeated_or_missing_do_no_harm() -> None:
+def test_readings_may_be_out_of_order_repeated_or_missing() -> None:
     draw = np.random.default_rng(0)
     t = np.repeat(np.arange(0, 10, 0.02), 2)
     z = np.sin(t) + draw.normal(0, 0.01, len(t))
@@ -101,7 +101,7 @@ def test_readings_out_of_order_repeated_or_missing_do_no_harm() -> None:
     assert fit([one], 2).encoder == pytest.approx(1e-4, rel=0.2)
 
 
-def test_a_reading_sent_again_is_no_second_reading() -> None:
+def test_a_repeated_message_is_one_reading() -> None:
     t = np.arange(0, 10, 0.008)
     z = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, len(t))
     again = chain(np.sort(np.concatenate([t + k * 0.002 for k in range(4)])), np.repeat(z, 4))

@@ -44,7 +44,7 @@ def test_a_track_that_stands_still_is_refused_by_name(run):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_track_that_foreign_things_move_is_refused(run, seed):
+def test_a_track_moved_by_other_things_is_refused(run, seed):
     draw, track = np.random.default_rng(seed), run.tracks["effector"]
     noise = draw.normal([40.0, 30.0], 0.4, track.values.shape)
     t = track.t[:, None] * draw.uniform(0.3, 1.5, 2)
@@ -83,7 +83,7 @@ def test_too_few_sightings_for_the_joints_are_refused_with_the_counts(run):
     assert "seen in 8 of 199 images (others: 180 too small, 11 out of view)" in text
 
 
-def test_what_was_learned_says_how_much_the_joints_explain(run):
+def test_findings_name_the_share_that_joints_explain(run):
     found = body.learn([run], Settings(), {})
     (explained,) = (s.value for s in found.scores if s.name == "explained/effector")
     assert 0.999 < explained < 1.0

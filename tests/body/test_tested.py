@@ -39,7 +39,7 @@ def test_scores_are_the_errors_against_what_was_seen(explored, learned):
     assert 0.7 < found["nis/test/effector"] < 1.4 and found["coverage_2sigma/test/effector"] > 90
 
 
-def test_a_wrong_body_is_found_out(explored, learned):
+def test_a_wrong_body_has_bad_scores(explored, learned):
     run = explored(5, 0.003, 20.0).features
     track = run.tracks["effector"]
     moved = replace(run, tracks={"effector": replace(track, values=track.values + np.array([4.0, 0.0]))})

@@ -102,7 +102,7 @@ def test_a_hundred_thousand_samples_fit_in_little_memory(camera) -> None:
     assert many < 1.05 * exact
 
 
-def test_an_output_that_shows_more_of_the_inputs_noise_is_as_much_less_certain() -> None:
+def test_an_output_with_more_input_noise_has_more_variance() -> None:
     far, squares = np.array([40.0, 160.0]), []
     for seed in range(8):
         draw = np.random.default_rng(seed)

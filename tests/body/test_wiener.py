@@ -65,6 +65,6 @@ def test_two_steps_are_one_long_step(order: int) -> None:
     assert np.allclose(grown, covariance(order, both)[0])
 
 
-def test_what_cannot_be_factored_is_an_error() -> None:
+def test_an_indefinite_matrix_is_an_error() -> None:
     with pytest.raises(np.linalg.LinAlgError, match="too stiff"):
         solve(banded(-np.eye(2)[None], np.zeros((0, 2, 2))), np.ones((2, 1)))

@@ -115,7 +115,7 @@ def test_touch_in_time_corrects_a_wrong_start_and_touch_out_of_time_does_not(see
 
 
 @pytest.mark.soak
-def test_pictures_alone_keep_the_arm_where_it_was_explored(seen, learned):
+def test_images_alone_keep_the_arm_in_the_explored_range(seen, learned):
     recording, features = seen("reach.bag")
     found = estimate(features, learned, Estimation(senses=("vision",)))
     error = {s.name: s.value for s in scores(found, truth_of("reach.bag", recording), None)}

@@ -98,7 +98,7 @@ def test_given_delays_are_used_and_contradicted_where_the_log_knows_better(world
         estimate(features, drawn.body, Estimation(), {"left": 0.05})
 
 
-def test_joints_that_are_late_are_dated_as_given(world):
+def test_given_joint_delays_are_corrected(world):
     drawn = world(3, camera_hz=20.0, duration=10.0)
     joints = drawn.features.joints
     behind = replace(drawn.features, joints=replace(joints, t=joints.t + 0.05))
@@ -109,7 +109,7 @@ def test_joints_that_are_late_are_dated_as_given(world):
     assert nees(found, drawn) == pytest.approx(sound, rel=1e-3)
 
 
-def test_a_body_learned_with_a_delay_lends_it_to_logs_that_do_not_contradict(world):
+def test_a_bodys_delay_applies_to_logs_that_do_not_contradict_it(world):
     drawn, still = world(4, camera_hz=20.0), world(4, speed=0.0, duration=6.0)
     body = replace(drawn.body, provenance={"delay": {"camera": 0.05}})
     for one in (drawn, still):
@@ -126,7 +126,7 @@ def test_a_body_learned_with_a_delay_lends_it_to_logs_that_do_not_contradict(wor
             estimate(drawn.features, replace(body, provenance={"delay": wrong}), Estimation())
 
 
-def test_error_bars_know_how_sure_the_delay_is(world):
+def test_error_bars_include_the_delays_uncertainty(world):
     drawn = world(5, camera_hz=20.0)
     features = delayed(drawn.features, 0.06)
     found = estimate(features, drawn.body, Estimation(method="smoother"))
@@ -136,7 +136,7 @@ def test_error_bars_know_how_sure_the_delay_is(world):
     assert (np.einsum("nii->n", more) > 0.0).mean() > 0.99
 
 
-def test_withheld_pictures_are_foretold_when_they_were_taken(world):
+def test_held_out_images_are_predicted_at_their_corrected_time(world):
     drawn = world(6, camera_hz=20.0)
     for senses in (None, ("encoders",)):
         settings, density = Estimation(senses=senses), []

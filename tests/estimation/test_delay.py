@@ -36,7 +36,7 @@ def spoilt(drawn, how):
 
 
 @pytest.mark.parametrize("camera_hz, encoder_hz", [(12.0, 50.0), (30.0, 100.0), (5.0, 200.0), (30.0, 10.0)])
-def test_a_delay_is_found_as_surely_as_it_says(world, camera_hz, encoder_hz):
+def test_a_delay_has_true_error_bars(world, camera_hz, encoder_hz):
     off = []
     for seed in range(40):
         drawn = world(seed, camera_hz=camera_hz, encoder_hz=encoder_hz)
@@ -49,7 +49,7 @@ def test_a_delay_is_found_as_surely_as_it_says(world, camera_hz, encoder_hz):
 
 @pytest.mark.parametrize("how", ["drift", "frozen", "gap", "outliers", "backwards"])
 @pytest.mark.parametrize("seconds", [0.0, 0.08])
-def test_other_faults_neither_feign_a_delay_nor_hide_it(world, how, seconds):
+def test_other_faults_neither_imitate_nor_hide_a_delay(world, how, seconds):
     for seed in range(4):
         found = measured_delays(delayed(spoilt(world(seed, camera_hz=30.0), how), seconds), world(seed).body)["camera"]
         assert abs(found.seconds - seconds) < 4.0 * found.std_error + 1e-3
@@ -73,12 +73,12 @@ def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.01])
-def test_an_arm_that_hardly_moves_tells_nothing(world, speed):
+def test_an_arm_that_hardly_moves_gives_no_delay(world, speed):
     for seed in range(6):
         assert measured_delays(delayed(world(seed, speed=speed, camera_hz=30.0).features, 0.05), world(seed).body) == {}
 
 
-def test_too_little_tells_nothing(world):
+def test_short_logs_give_no_delay(world):
     drawn = world(0)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
     none = [
@@ -93,7 +93,7 @@ def test_too_little_tells_nothing(world):
     assert all(measured_delays(features, drawn.body) == {} for features in none)
 
 
-def test_joints_that_speak_in_turn_are_not_taken_for_one_instant(world):
+def test_joints_read_in_turn_are_not_one_instant(world):
     drawn = world(2, camera_hz=30.0, encoder_hz=100.0)
     joints = drawn.features.joints
     values = np.where(np.arange(3) == np.arange(len(joints.t))[:, None] % 3, joints.values, np.nan)
@@ -101,7 +101,7 @@ def test_joints_that_speak_in_turn_are_not_taken_for_one_instant(world):
     assert measured_delays(alone, drawn.body) == {}
 
 
-def test_a_long_log_is_asked_in_the_middle_and_as_a_whole_where_that_tells_nothing(world):
+def test_a_long_log_is_measured_in_the_middle_and_else_as_a_whole(world):
     drawn = world(1, duration=100.0, camera_hz=10.0, encoder_hz=30.0)
     track = drawn.features.tracks["effector"]
     asked = measured_delays(delayed(drawn.features, 0.05), drawn.body)["camera"]
@@ -114,7 +114,7 @@ def test_a_long_log_is_asked_in_the_middle_and_as_a_whole_where_that_tells_nothi
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("by", [-0.3, 0.3])
-def test_a_clock_that_is_set_amid_the_log_is_no_one_delay(world, seed, by):
+def test_a_clock_step_within_the_log_is_not_a_delay(world, seed, by):
     drawn = world(seed, camera_hz=30.0, speed=1.0)
     joints = drawn.features.joints
     stepped = replace(drawn.features, joints=replace(joints, t=np.where(joints.t > 10.0, joints.t + by, joints.t)))

@@ -17,7 +17,7 @@ def doubted(found):
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
 @pytest.mark.parametrize("seed", range(2))
-def test_a_sound_estimate_is_not_doubted(world, method, seed):
+def test_a_sound_estimate_gives_no_warning(world, method, seed):
     drawn = world(seed, duration=10.0, hidden=(6.0, 8.0), blunder=0.02)
     assert not doubted(estimate(drawn.features, drawn.body, Estimation(method=method)))
 
@@ -43,7 +43,7 @@ def test_an_offset_with_bias_off_gives_a_warning(world):
     assert any(text.startswith("effector: ") and text.endswith("type --method laplace") for text in coding)
 
 
-def test_two_publishers_on_one_topic_are_suspected(world):
+def test_two_publishers_on_one_topic_give_a_warning(world):
     drawn = world(5, duration=5.0)
     joints = drawn.features.joints
     values = np.where(np.arange(len(joints.t))[:, None] % 2, 0.5, joints.values)

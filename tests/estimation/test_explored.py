@@ -34,7 +34,7 @@ def range_texts(drawn, change):
     return [f.text for f in found.findings if f.severity == "warning" and f.text.startswith("joints: ")]
 
 
-def test_angles_that_were_explored_go_without_a_word(drawn):
+def test_explored_angles_give_no_warning(drawn):
     assert not range_texts(drawn, lambda x: x)
     assert not range_texts(drawn, lambda x: x + 0.3)
 
@@ -46,12 +46,12 @@ def test_degrees_are_refused_with_what_to_type(drawn, method, senses):
         estimate(read(drawn, np.rad2deg), drawn.body, Estimation(method=method, senses=senses))
 
 
-def test_degrees_are_refused_where_encoders_say_but_where_to_begin(drawn):
+def test_degrees_are_refused_where_encoders_only_give_the_start(drawn):
     with pytest.raises(ModelError, match="these are degrees"):
         estimate(read(drawn, np.rad2deg), drawn.body, Estimation(senses=("vision",)))
 
 
-def test_a_joint_about_zero_that_moves_elsewhere_is_not_taken_for_degrees(world):
+def test_a_joint_about_zero_in_another_range_is_not_taken_for_degrees(world):
     around = Learned(samples=motion(np.arange(0.0, 40.0, 0.1), np.random.default_rng(0)) * [0.1, 1.0, 1.0])
     drawn = world(1, duration=8.0, model=around)
     (text,) = range_texts(drawn, lambda x: x)
@@ -63,11 +63,11 @@ def test_a_joint_that_is_a_turn_off_is_named(drawn):
     assert text.startswith(f"joints: {drawn.features.joints.names[1]} reads ") and "+1 whole turns off" in text
 
 
-def test_a_joint_that_moves_where_it_was_not_explored_is_named(drawn):
+def test_a_joint_beyond_its_explored_range_is_named(drawn):
     (text,) = range_texts(drawn, lambda x: x + np.array([0.0, 0.0, 3.0]))
     assert text.startswith(f"joints: {drawn.features.joints.names[2]} reads ") and "beyond that" in text
 
 
-def test_an_encoder_that_says_nothing_is_not_accused(drawn):
+def test_an_encoder_without_readings_gives_no_warning(drawn):
     silenced = lambda x: np.where([False, False, True] & (np.arange(len(x)) > 0)[:, None], np.nan, x)  # noqa: E731
     assert not range_texts(drawn, silenced)

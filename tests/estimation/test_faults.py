@@ -55,7 +55,7 @@ def drift(t, y):
         (drift, "drifting", 6.5, 2.0, 0.14),
     ],
 )
-def test_a_lying_encoder_is_named_and_does_no_harm(world, change, kind, since, late, size):
+def test_a_faulty_encoder_is_named_and_does_no_harm(world, change, kind, since, late, size):
     drawn = world(4, duration=13.0, encoder_std=0.005, pixel_std=0.5, camera_hz=30.0)
     found = estimate(spoil(drawn, change), drawn.body, Estimation())
     assert [(f.name, f.kind) for f in found.faults] == [("pan", kind)]
@@ -67,14 +67,14 @@ def test_a_lying_encoder_is_named_and_does_no_harm(world, change, kind, since, l
 
 @pytest.mark.parametrize("method", ["kalman", "predictive-coding"])
 @pytest.mark.parametrize(("change", "kind"), [(freeze, "frozen"), (die, "dead"), (jump, "jumping"), (None, None)])
-def test_methods_that_mend_nothing_name_what_readings_alone_show(world, method, change, kind):
+def test_methods_without_repair_name_faults_by_readings_alone(world, method, change, kind):
     drawn = world(4, duration=13.0, encoder_std=0.005, pixel_std=0.5, camera_hz=30.0)
     features = drawn.features if change is None else spoil(drawn, change)
     found = estimate(features, drawn.body, Estimation(method=method))
     assert [(f.name, f.kind) for f in found.faults] == ([("pan", kind)] if kind else [])
 
 
-def test_sharp_pictures_do_not_hide_a_drift(world):
+def test_sharp_images_do_not_hide_a_drift(world):
     drawn = world(1, duration=14.0, encoder_std=0.01, pixel_std=0.05, camera_hz=20.0)
     (fault,) = estimate(spoil(drawn, drift), drawn.body, Estimation()).faults
     assert (fault.name, fault.kind) == ("pan", "drifting")
@@ -82,7 +82,7 @@ def test_sharp_pictures_do_not_hide_a_drift(world):
 
 
 @pytest.mark.parametrize("seed", [2, 3])
-def test_a_step_is_not_taken_for_blurred_pictures(world, seed):
+def test_a_step_is_not_taken_for_blurred_images(world, seed):
     drawn = world(seed, duration=16.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     found = estimate(spoil(drawn, step), drawn.body, Estimation())
     assert [fault.name for fault in found.faults] == ["pan"]
@@ -91,7 +91,7 @@ def test_a_step_is_not_taken_for_blurred_pictures(world, seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_sound_encoders_are_not_accused(world, seed):
+def test_sound_encoders_have_no_fault(world, seed):
     drawn = world(seed, duration=12.0, hidden=(6.0, 8.0), blunder=0.02)
     assert not estimate(drawn.features, drawn.body, Estimation()).faults
 
@@ -123,7 +123,7 @@ def test_a_single_spike_is_no_jump():
     assert at == 250 and size == pytest.approx(0.5, abs=0.05)
 
 
-def test_where_a_joint_is_after_a_silence_is_no_jump():
+def test_a_new_angle_after_a_gap_is_no_jump():
     t = np.arange(0.0, 20.0, 0.02)
     y = np.sin(t) + np.random.default_rng(2).normal(0, 0.01, len(t))
     read = (t < 6.0) | (t > 9.0)
@@ -165,7 +165,7 @@ def test_a_joint_that_moves_fast_does_not_jump():
     assert jumps(np.arange(len(slow)) * 2e-3, slow) == []
 
 
-def test_whole_turns_are_counted_away_and_are_no_jumps(world):
+def test_whole_turns_are_unwrapped_and_are_no_jumps(world):
     y = np.linspace(0.0, 20.0, 500)
     wrapped = (y + np.pi) % (2.0 * np.pi) - np.pi
     np.testing.assert_allclose(unwrapped(wrapped), y, atol=1e-9)
@@ -174,7 +174,7 @@ def test_whole_turns_are_counted_away_and_are_no_jumps(world):
     assert not estimate(features, sound.body, Estimation()).faults
 
 
-def test_an_encoder_that_speaks_seldom_is_not_dead():
+def test_an_encoder_with_rare_readings_is_not_dead():
     t = np.arange(0.0, 10.0, 0.02)
     seldom = np.where(np.arange(len(t)) % 40 == 0, 0.1, np.nan)
     seldom[t > 8.9] = np.nan
@@ -185,7 +185,7 @@ def test_an_encoder_that_speaks_seldom_is_not_dead():
 @pytest.mark.parametrize("moves", ["sines", "reach"])
 @pytest.mark.parametrize("joint", [0, 1, 2])
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_images_tell_a_frozen_encoder_from_one_that_counts_in_steps_and_rests(moves, joint, noise):
+def test_images_separate_a_frozen_encoder_from_a_coarse_one_at_rest(moves, joint, noise):
     sound = drawn(0, Drawn(moves, 1.5e-3, noise))
     found = estimate(spoil(sound, freeze, sound.features.joints.names[joint]), sound.body, Estimation())
     assert [(f.name, f.kind) for f in found.faults] == [(sound.features.joints.names[joint], "frozen")]
@@ -202,7 +202,7 @@ def test_a_constant_offset_is_found_by_the_whole_log(world, joint):
 
 @pytest.mark.parametrize(("joint", "named"), [("lift", {"lift", "elbow"}), ("pan", {"pan"})])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_joints_that_images_cannot_tell_apart_are_both_named_without_a_size(world, joint, named, seed):
+def test_ambiguous_joints_are_both_named_without_a_size(world, joint, named, seed):
     similar = Linear(np.array([[300.0, 120.0, 120.0], [15.0, 250.0, 250.0]]), np.array([160.0, 120.0]))
     drawn = world(seed, duration=16.0, encoder_std=0.01, model=similar)
     (fault,) = estimate(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, Estimation()).faults

@@ -49,12 +49,12 @@ def test_one_wild_reading_does_not_hide_what_another_joint_does(healthy):
 
 
 @pytest.mark.parametrize("factor", [180.0 / np.pi, 4096.0 / (2 * np.pi)])
-def test_degrees_and_ticks_accuse_no_joint(healthy, factor):
+def test_degrees_and_ticks_give_no_warning(healthy, factor):
     ((severity, text),) = _texts(healthy, healthy.values * factor)
     assert severity == "info" and "other units or zeros" in text
 
 
-def test_a_gripper_in_percent_is_not_accused_and_hides_nothing(healthy):
+def test_a_gripper_in_percent_gives_no_warning_and_hides_none(healthy):
     values = healthy.values * [1.0, 1.0, 1.0, 2500.0]
     ((severity, text),) = _texts(healthy, values)
     assert severity == "info" and "grip: " in text and "pan" not in text
@@ -62,7 +62,7 @@ def test_a_gripper_in_percent_is_not_accused_and_hides_nothing(healthy):
     assert sorted(severity for severity, _ in _texts(healthy, values)) == ["info", "warning"]
 
 
-def test_zeros_of_another_robot_accuse_no_joint(healthy):
+def test_zeros_of_another_robot_give_no_warning(healthy):
     assert [severity for severity, _ in _texts(healthy, healthy.values + 1.5)] == ["info"]
 
 

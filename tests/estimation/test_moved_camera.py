@@ -38,7 +38,7 @@ def cameras(features, body):
 @pytest.mark.parametrize("px", [5.0, 30.0])
 @pytest.mark.parametrize("moves", ["reach", "sines"])
 @pytest.mark.parametrize("seed", seeds(3, 20))
-def test_it_is_found_with_its_time_and_its_size(moves, px, seed):
+def test_a_moved_camera_is_found_with_its_time_and_size(moves, px, seed):
     world = drawn(100 + seed, Drawn(moves, noise=0.01))
     (fault,) = cameras(moved(world.features, px, seed), world.body)
     assert (fault.name, fault.kind, fault.unit) == ("camera", "displaced", "px")
@@ -47,7 +47,7 @@ def test_it_is_found_with_its_time_and_its_size(moves, px, seed):
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
 @pytest.mark.parametrize("px", [4.0, 20.0])
-def test_the_path_is_as_good_as_if_it_had_stayed(method, px):
+def test_the_estimate_is_as_good_as_with_a_fixed_camera(method, px):
     world = drawn(101, Drawn("reach", noise=0.01))
     found, sound = (
         estimate(features, world.body, Estimation(method=method))
@@ -63,7 +63,7 @@ def test_the_path_is_as_good_as_if_it_had_stayed(method, px):
 
 @pytest.mark.parametrize("moves", MOTIONS)
 @pytest.mark.parametrize("seed", seeds(3, 20))
-def test_neither_a_healthy_log_nor_an_encoder_accuses_the_camera(moves, seed):
+def test_neither_a_healthy_log_nor_an_encoder_fault_moves_the_camera(moves, seed):
     world = drawn(300 + seed, Drawn(moves, noise=(0.01, 0.002, 0.0005)[seed % 3]))
     t = world.features.joints.t
     off = np.outer(np.clip(0.02 * (t - 5.0), 0.0, None), np.arange(3) == seed % 3)
@@ -84,7 +84,7 @@ def test_of_two_cameras_the_one_that_moved_is_named():
     assert (fault.name, fault.kind) == ("side", "displaced")
 
 
-def test_it_may_move_twice():
+def test_a_camera_may_move_twice():
     world = drawn(103, Drawn("sines", noise=0.01, duration=24.0))
     faults = cameras(moved(moved(world.features, 12.0, 0.3), 9.0, 2.0, since=16.0), world.body)
     assert sorted(round(fault.since) for fault in faults) == [8, 16]

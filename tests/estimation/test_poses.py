@@ -57,7 +57,7 @@ def _nees(found, q):
     return float(np.einsum("pi,pij,pj->p", error, np.linalg.inv(found.cov), error).mean() / q.shape[1])
 
 
-def test_a_body_is_learned_from_poses_and_foretells_others(learned):
+def test_a_body_is_learned_from_poses_and_predicts_others(learned):
     features, q = _poses(1)
     for name, sense in learned.senses.items():
         mean, _, var = sense.predict(q)
@@ -67,7 +67,7 @@ def test_a_body_is_learned_from_poses_and_foretells_others(learned):
 
 
 @pytest.mark.parametrize("seed", range(2, 5))
-def test_noisy_encoders_are_weighed_as_noisy_as_they_are(learned, seed):
+def test_noisy_encoders_are_weighted_by_their_noise(learned, seed):
     features, q = _poses(seed, noise=0.05, hidden=0.2)
     found = estimate(features, learned, Estimation())
     assert np.all(np.abs(np.log(np.sqrt(found.settings["encoder"]) / 0.05)) < 0.35)
@@ -76,7 +76,7 @@ def test_noisy_encoders_are_weighed_as_noisy_as_they_are(learned, seed):
 
 
 @pytest.mark.parametrize(("joint", "size"), [(0, 0.05), (1, -0.03), (2, 0.05)])
-def test_an_encoder_off_in_all_poses_is_named_and_taken_out(learned, joint, size):
+def test_an_offset_in_all_poses_is_named_and_removed(learned, joint, size):
     offset = tuple(size if k == joint else 0.0 for k in range(3))
     features, q = _poses(7, offset=offset)
     found = estimate(features, learned, Estimation())
@@ -88,7 +88,7 @@ def test_an_encoder_off_in_all_poses_is_named_and_taken_out(learned, joint, size
     assert np.sqrt(np.mean((left_in.joints.values - q) ** 2)) > 0.009
 
 
-def test_sound_poses_accuse_nobody(learned):
+def test_sound_poses_have_no_fault(learned):
     for seed in range(8, 11):
         assert estimate(_poses(seed)[0], learned, Estimation()).faults == ()
 

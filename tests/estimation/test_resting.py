@@ -27,7 +27,7 @@ def test_every_method_gives_numbers_for_an_arm_that_mostly_rests(method, step):
 @pytest.mark.parametrize(("step", "noise"), [(1e-6, 0.0), (1e-4, 0.0), (1.5e-3, 0.0), (0.01, 0.0), (1.5e-3, 1e-3)])
 @pytest.mark.parametrize("moves", ["slow", "sines", "reach"])
 @pytest.mark.parametrize("seed", seeds(1, 5))
-def test_a_quantised_encoder_is_believed_as_far_as_its_step(method, senses, step, noise, moves, seed):
+def test_a_quantised_encoder_has_the_noise_of_its_step(method, senses, step, noise, moves, seed):
     world = drawn(seed, Drawn(moves, step, noise))
     found = estimate(world.features, world.body, Estimation(method=method, senses=senses))
     error, nees = judged(world, found.joints, found.cov)
@@ -53,7 +53,7 @@ def test_a_joint_that_starts_after_a_long_rest_is_followed(method):
         ("free_energy", "the free energy at 0.060 s"),
     ],
 )
-def test_no_estimate_with_a_number_that_is_none_is_given_out(world, field, text):
+def test_estimates_contain_no_nan(world, field, text):
     found = estimate(*(lambda w: (w.features, w.body))(world(0, duration=2.0)), Estimation())
     bad = getattr(found, field)
     values = np.array(bad if isinstance(bad, np.ndarray) else bad.values)

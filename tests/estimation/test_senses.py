@@ -42,7 +42,7 @@ def test_a_named_sense_without_sightings_is_an_error_and_a_guessed_one_a_finding
     assert any("effector: nothing usable" in finding.text for finding in found.findings)
 
 
-def test_touch_asked_for_without_skin_is_an_error(world):
+def test_selecting_touch_without_skin_is_an_error(world):
     drawn = world(0, duration=2.0)
     with pytest.raises(EvidenceError, match="touch: asked for"):
         estimate(drawn.features, drawn.body, Estimation(senses=("encoders", "touch")))
@@ -80,7 +80,7 @@ def test_settings_that_make_no_sense(world, field, value):
 
 
 @pytest.mark.parametrize("without, warned", [((), False), (("lift",), False), (("encoders",), True)])
-def test_more_silent_joints_than_numbers_seen_are_warned_of(world, without, warned):
+def test_more_unobserved_joints_than_image_numbers_give_a_warning(world, without, warned):
     drawn = world(0, duration=2.0)
     found = estimate(drawn.features, drawn.body, Estimation(without=without))
     texts = [finding.text for finding in found.findings if finding.text.startswith("vision: 2 numbers")]
@@ -90,19 +90,19 @@ def test_more_silent_joints_than_numbers_seen_are_warned_of(world, without, warn
 
 
 @pytest.mark.parametrize("asked", [("vision",), ("encoders", "effector")])
-def test_the_baseline_refuses_senses_it_does_not_hear(world, asked):
+def test_the_baseline_refuses_senses_it_does_not_use(world, asked):
     drawn = world(0, duration=2.0)
     with pytest.raises(UsageError, match=f"kalman hears encoders alone, but {asked[-1]} is asked for"):
         estimate(drawn.features, drawn.body, Estimation(method="kalman", senses=asked))
 
 
-def test_a_track_the_body_knows_but_the_log_has_not_cannot_be_asked_for(world):
+def test_a_track_missing_in_the_log_cannot_be_selected(world):
     drawn = world(0, duration=2.0)
     with pytest.raises(EvidenceError, match=r"effector: requested, but without measurements"):
         estimate(replace(drawn.features, tracks={}), drawn.body, Estimation(senses=("encoders", "effector")))
 
 
-def test_a_silent_joint_is_counted_refused_when_asked_for_and_named_where_it_starts(world):
+def test_a_joint_without_readings_is_counted_refused_if_named_and_needs_a_start(world):
     drawn = world(0, duration=2.0)
     joints = drawn.features.joints
     values = joints.values.copy()

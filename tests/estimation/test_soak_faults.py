@@ -45,14 +45,14 @@ def believed(lab, scenario, seed, options):
 
 
 @pytest.mark.parametrize(("scenario", "options"), SOUND)
-def test_no_sound_encoder_is_accused(lab, scenario, options):
+def test_no_sound_encoder_has_a_fault(lab, scenario, options):
     accused = {seed: found.faults for seed in SEEDS if (found := believed(lab, scenario, seed, options)[1]).faults}
     print(f"{scenario:14s} {options.get('variant', ''):14s} {len(accused)} of {len(SEEDS)} accused")
     assert not accused
 
 
 @pytest.mark.parametrize(("scenario", "kind", "joint", "exceeds"), LYING)
-def test_a_lying_encoder_is_named_within_two_seconds_and_does_no_harm(lab, scenario, kind, joint, exceeds):
+def test_a_faulty_encoder_is_named_within_two_seconds_and_does_no_harm(lab, scenario, kind, joint, exceeds):
     for seed in SEEDS:
         run, found = believed(lab, scenario, seed, {})
         (fault,) = found.faults
@@ -89,7 +89,7 @@ def test_a_step_of_some_deviations_is_named_in_every_world(world, size):
         assert fault.size == pytest.approx(size, abs=0.04)
 
 
-def test_a_seen_hand_draws_the_belief_when_in_time_only(lab):
+def test_a_seen_hand_moves_the_estimate_only_when_synchronous(lab):
     """Drift of the estimated effector toward the hand, px: synchronous at least twenty times asynchronous."""
     for seed in SEEDS:
         body, drift = lab.body("default", seed), {}

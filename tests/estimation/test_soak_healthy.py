@@ -42,7 +42,7 @@ def accused(joints: Series) -> list[str]:
 @pytest.mark.soak
 @pytest.mark.parametrize("moves", MOTIONS)
 @pytest.mark.parametrize("how", READ, ids=str)
-def test_no_drawn_encoder_is_accused(moves, how):
+def test_no_drawn_encoder_has_a_fault(moves, how):
     for seed in (100, 101):
         world = drawn(seed, Drawn(moves, **how))
         for senses in (None, ("encoders",)):
@@ -59,7 +59,7 @@ LOGS = (
 
 
 @pytest.mark.parametrize("name", LOGS)
-def test_no_joint_of_a_real_log_is_accused_by_its_own_readings(name):
+def test_no_joint_of_a_real_log_has_a_fault_in_its_readings(name):
     path = SHARED / "logs" / name
     if not path.exists():
         pytest.skip(f"{path} is not at hand")
@@ -69,7 +69,7 @@ def test_no_joint_of_a_real_log_is_accused_by_its_own_readings(name):
 
 @pytest.mark.parametrize("episode", [0, 1])
 @pytest.mark.parametrize("column", ["observation.state", "action"])
-def test_no_servo_of_a_real_arm_is_accused(episode, column):
+def test_no_servo_of_a_real_arm_has_a_fault(episode, column):
     path = SHARED / "real" / "so101" / "data" / "chunk-000" / f"episode_{episode:06}.parquet"
     if not path.exists():
         pytest.skip(f"{path} is not at hand")

@@ -126,7 +126,7 @@ def test_a_lost_belief_is_found_again_as_in_the_batch(world, seed, names):
 @pytest.mark.parametrize("end", [5.0, *(pytest.param(end, marks=pytest.mark.soak) for end in (8.0, 20.0))])
 @pytest.mark.parametrize("names", [["pan", "lift", "elbow"], ["elbow", "lift"]])
 @pytest.mark.parametrize("seed", seeds(1, 4))
-def test_joints_adrift_are_where_the_batch_has_them(world, seed, names, end):
+def test_joints_adrift_equal_the_batch(world, seed, names, end):
     drawn = world(seed, duration=9.0, encoder_hz=40.0, model=Explored(), blunder=0.02)
     joints = drawn.features.joints
     gone = np.outer((joints.t >= 3.0) & (joints.t < end), np.isin(joints.names, names))
@@ -136,7 +136,7 @@ def test_joints_adrift_are_where_the_batch_has_them(world, seed, names, end):
 
 
 @pytest.mark.parametrize("encoder_hz", [10.0, 400.0])
-def test_whatever_is_the_faster(world, encoder_hz):
+def test_frame_and_encoder_rates_may_differ(world, encoder_hz):
     drawn = world(0, duration=6.0, encoder_hz=encoder_hz)
     check(drawn.features, drawn.body, replace(MODEL, rate=None if encoder_hz < 100 else 100.0))
 
@@ -154,7 +154,7 @@ def test_variances_learned_from_a_log_are_used_live(world, swept):
     assert_same(beliefs, one)
 
 
-def test_a_log_solved_as_one_says_what_a_live_filter_hears_by(world):
+def test_a_log_solved_as_a_whole_gives_variances_for_a_live_filter(world):
     drawn = world(0, duration=12.0)
     alone = Estimation("smoother", senses=("encoders",))
     settings = json.loads(json.dumps(estimate(drawn.features, drawn.body, alone).settings))
@@ -175,7 +175,7 @@ def test_variances_that_are_not_the_bodys_are_refused(world, encoder):
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
-def test_without_pixel_noise_it_is_the_bodys(world, seed):
+def test_without_a_stated_std_pixel_noise_is_the_bodys(world, seed):
     drawn = world(seed, duration=5.0)
     track = drawn.features.tracks["effector"]
     std = np.where(np.random.default_rng(seed).random(track.values.shape) < 0.5, np.nan, track.std)
@@ -229,7 +229,7 @@ def test_late_images_are_applied_at_their_time(world, seed):
     assert not any(health.rejected for health in live.used.values())
 
 
-def test_what_is_too_late_is_left_out_and_counted(world):
+def test_too_late_readings_are_left_out_and_counted(world):
     drawn = world(0, duration=2.0)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
     live = Estimator(drawn.body, lag=0.1)
@@ -262,7 +262,7 @@ def test_without_some_encoders_or_any(world, senses):
     check(drawn.features, body, replace(MODEL, senses=senses, start=start))
 
 
-def test_the_belief_may_be_asked_for_at_any_time(world):
+def test_the_belief_is_available_at_any_time(world):
     drawn = world(2, duration=4.0)
     batch = estimate(drawn.features, drawn.body, replace(MODEL, rate=37.0))
     live, beliefs = Estimator(drawn.body), []
@@ -291,7 +291,7 @@ def test_a_long_day_takes_no_more_memory_than_a_minute(world, linear_model, step
     assert np.linalg.eigvalsh(live.step(1e5).cov).min() > 0
 
 
-def test_what_is_not_the_bodys_is_refused_in_one_line_and_changes_nothing(world):
+def test_unfit_readings_are_refused_in_one_line_and_change_nothing(world):
     drawn = world(0, duration=1.0)
     live, x = Estimator(drawn.body), np.array([-0.9, -0.9, 1.0])
     before = live.step(0.0, joints=x)
@@ -370,7 +370,7 @@ def test_joints_in_two_halves_start_once_all_are_known(world):
 
 @pytest.mark.parametrize("offsets", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_an_instant_in_plain_floats_is_that_of_matrices(seed, offsets):
+def test_an_instant_in_plain_floats_equals_matrices(seed, offsets):
     rng = np.random.default_rng(seed)
     m = 3
     drift = np.array([1e-4, 0.0, 1e-5]) if offsets else None

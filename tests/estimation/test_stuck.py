@@ -32,14 +32,14 @@ def test_a_camera_that_stands_still_is_named_and_does_no_harm(world, method, see
         assert np.mean(error**2 / np.einsum("nii->ni", found.cov)) < 1.6
 
 
-def test_it_may_go_on_later(world):
+def test_a_frozen_camera_may_recover(world):
     drawn = world(2, duration=12.0, camera_hz=20.0)
     found = estimate(freeze(drawn, 4.0, 7.0), drawn.body, Estimation())
     assert [(fault.sense, fault.kind) for fault in found.faults] == [("vision", "frozen")]
     assert found.used["effector"].rejected["frozen"] == 59
 
 
-def test_pictures_of_an_arm_at_rest_repeat(world):
+def test_images_of_an_arm_at_rest_may_repeat(world):
     drawn = world(3, duration=12.0, camera_hz=20.0, speed=0.0)
     found = estimate(freeze(drawn, 0.0), drawn.body, Estimation())
     assert not found.faults and "frozen" not in found.used["effector"].rejected
@@ -63,7 +63,7 @@ def test_a_camera_that_stands_still_is_named_by_encoders_on_topics_of_their_own(
     assert [(fault.sense, fault.name, fault.kind) for fault in found.faults] == [("vision", "effector", "frozen")]
 
 
-def test_two_encoders_that_jump_do_not_make_a_resting_arms_camera_lie(world):
+def test_two_jumping_encoders_do_not_freeze_a_resting_arms_camera(world):
     """Encoders are screened for their own faults before they judge a camera."""
     drawn = world(3, duration=14.0, camera_hz=20.0, speed=0.0, encoder_std=0.002, pixel_std=0.1)
     features = freeze(drawn, 0.0)

@@ -30,7 +30,7 @@ def solved(features, body, **settings):
 
 @pytest.mark.parametrize("size", [0.0, 0.03, 0.05, 0.1])
 @pytest.mark.parametrize("seed", range(2))
-def test_it_is_what_the_filter_with_an_offset_wins(world, seed, size):
+def test_the_score_is_the_evidence_of_a_filter_with_an_offset(world, seed, size):
     drawn = world(seed, duration=14.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     problem, found = solved(lying(drawn, size), drawn.body)
     cost = partial(filtering.cost, warm=found)
@@ -39,7 +39,7 @@ def test_it_is_what_the_filter_with_an_offset_wins(world, seed, size):
     assert (max(wins) > encoder_offset.GAIN) is (size > 0)
 
 
-def test_nothing_is_promised_where_nothing_is_looked_at(world):
+def test_without_images_the_score_is_zero(world):
     drawn = world(0, duration=6.0)
     problem, found = solved(replace(drawn.features, tracks={}), drawn.body)
     assert not offset_score(problem, found, WALK)[0].any()
@@ -56,21 +56,21 @@ def _never(*_, **__):
     raise AssertionError("an offset was tried")
 
 
-def test_a_sound_log_is_not_weighed(world, monkeypatch):
+def test_a_sound_log_needs_no_further_solve(world, monkeypatch):
     monkeypatch.setattr(encoder_offset, "choose", _never)
     for seed in range(3):
         drawn = world(seed, duration=12.0, hidden=(6.0, 8.0), blunder=0.02)
         assert not estimate(drawn.features, drawn.body, Estimation()).faults
 
 
-def test_that_the_way_forth_of_a_smoother_lags_is_no_offset(world, learned, monkeypatch):
+def test_the_lag_of_a_smoothers_forward_pass_is_no_offset(world, learned, monkeypatch):
     monkeypatch.setattr(encoder_offset, "choose", _never)
     for seed in (7, 8):
         drawn = world(seed, duration=60.0, encoder_hz=500.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
         assert not estimate(drawn.features, learned, Estimation(method="smoother")).faults
 
 
-def test_a_smoothers_lag_counts_against_what_its_way_forth_says(world, learned, monkeypatch, swept):
+def test_a_smoothers_lag_reduces_the_score(world, learned, monkeypatch, swept):
     scored, named = [], "offset_score"
     monkeypatch.setattr(encoder_offset, named, lambda *given: scored.append(offset_score(*given)) or scored[-1])
     for seed in (2, 3):
@@ -81,7 +81,7 @@ def test_a_smoothers_lag_counts_against_what_its_way_forth_says(world, learned, 
     assert max(gain.max() for gain, _, _ in scored) < -30.0
 
 
-def test_a_learned_bodys_own_error_accuses_no_encoder(world, learned):
+def test_model_error_gives_no_encoder_fault(world, learned):
     for seed in range(2, 5):
         drawn = world(seed, duration=120.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
         gain, _, _ = offset_score(*solved(drawn.features, learned), WALK)

@@ -97,7 +97,7 @@ def filtered(features, body, process, poses=None):
     return np.array(means), np.array(covs)
 
 
-def test_the_pose_is_that_of_the_corners_and_its_derivatives_are_true():
+def test_the_pose_fits_the_corners_and_has_true_derivatives():
     x = motion(np.arange(0.0, 3.0, 0.5), np.random.default_rng(0), 0.3)
     model = PoseModel(MODELS, POINTS, LENS)
     mean, jac, _ = model.predict(x)
@@ -110,7 +110,7 @@ def test_the_pose_is_that_of_the_corners_and_its_derivatives_are_true():
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_the_six_rows_err_as_their_covariance_says(seed):
+def test_the_six_rows_have_a_true_covariance(seed):
     features, body, _, at_frames = drawn(seed, duration=10.0, pixel=0.1)
     ((name,),) = (TagPose(LENS).names(features, body),)
     poses, health = TagPose(LENS).read(name, features, body)
@@ -124,7 +124,7 @@ def test_the_six_rows_err_as_their_covariance_says(seed):
     assert np.abs(poses.cov[rows] / (scale[:, :, None] * scale[:, None]) - np.eye(6)).max() > 0.5
 
 
-def test_a_filter_hears_a_pose_and_is_as_sure_as_it_errs():
+def test_a_filter_with_poses_has_true_error_bars():
     found = {True: [], False: []}
     for seed in range(6):
         features, body, truth, _ = drawn(seed, duration=4.0, pixel=0.1, camera=6.0)

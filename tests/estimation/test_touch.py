@@ -42,7 +42,7 @@ def test_all_frames_of_one_touch_count_as_one_sighting(world, stroked):
     assert len(t) > count
 
 
-def test_a_cell_whose_place_is_known_is_looked_for_there(world, stroked):
+def test_a_cell_of_known_position_is_used_there(world, stroked):
     features, body = stroked(world(0), 1.0, (30.0, -8.0)), world(0).body
     body = replace(body, cells={1: (30.0, -8.0, 3.0)})
     t, places, var, *_ = touch.sightings(features, body, whole=False)
@@ -66,7 +66,7 @@ def test_synchronous_touch_corrects_and_asynchronous_does_not(world, stroked):
     assert abs(gain[1e-6]) < 0.1 * gain[1.0]
 
 
-def test_the_rubber_hand_pulls_only_when_in_time(world, stroked):
+def test_the_rubber_hand_pulls_only_when_synchronous(world, stroked):
     drift = {}
     for weight in (1.0, 1e-3):
         drawn = world(2, encoder_std=0.005)

@@ -24,7 +24,7 @@ def solve(rig, data):
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_the_next_poses_are_foretold_from_forty(known):
+def test_forty_poses_predict_the_next_ones(known):
     rig = robots.rig(known=known)
     theta = robots.truth(rig, {"elbow": 2 * DEGREE})
     found = solve(rig, robots.seen(rig, theta, robots.angles(40), 0.3))
@@ -35,7 +35,7 @@ def test_the_next_poses_are_foretold_from_forty(known):
     assert 0.2 < np.sqrt(found.noise) < 0.4
 
 
-def test_offsets_are_as_far_off_as_they_say():
+def test_offsets_have_true_error_bars():
     """NEES near 1 over seeds, of the zeros that are identifiable."""
     squares = []
     for seed in SEEDS:
@@ -51,7 +51,7 @@ def test_offsets_are_as_far_off_as_they_say():
     assert 0.6 < np.mean(squares) < 1.6  # 24 degrees of freedom: 1 ± 0.3
 
 
-def test_false_sightings_do_not_move_it():
+def test_false_sightings_do_not_move_the_calibration():
     rig = robots.rig()
     theta = robots.truth(rig)
     data = robots.seen(rig, theta, robots.angles(60), 0.3)
@@ -142,7 +142,7 @@ def test_a_board_on_the_hand_is_found_from_nothing_but_its_corners():
         assert abs(offsets[name].value - true * DEGREE) < 3 * offsets[name].std
 
 
-def test_starts_are_exact_where_nothing_is_noise():
+def test_starts_are_exact_without_noise():
     draw = np.random.default_rng(5)
     pose = transform(exponential(draw.normal(size=3)), np.array([0.1, -0.2, 3.0]))
     points = draw.uniform(-1, 1, (20, 3))

@@ -60,7 +60,7 @@ def test_projection_is_a_pinholes_and_its_slopes_finite_differences():
         np.testing.assert_allclose(by_lens[..., k], numeric, atol=1e-4)
 
 
-def test_one_posture_is_as_many():
+def test_one_posture_equals_many():
     boarded = board()
     for rig, point in ((robots.rig(), 0), (boarded, 5)):
         theta = robots.truth(rig, {"lift": 0.1})

@@ -91,7 +91,7 @@ def test_held_joints_leave_the_others_poses():
     np.testing.assert_allclose(turned.at(q[:, ::-1]).rotation, chain.at(q).rotation, atol=1e-12)
 
 
-def test_links_and_joints_that_no_chain_can_pass_are_named():
+def test_unknown_links_and_unsupported_joints_are_named():
     robot = urdf.parse(ARM.replace('type="continuous"', 'type="floating"'), "arm.urdf")
     with pytest.raises(ModelError, match="'elbow' between base and tool is floating"):
         between(robot, "base", "tool")

@@ -13,7 +13,7 @@ from tests.kinematics.test_chain import ends_of
 ZEROS = {"rail": 0.02, "turn": 0.1, "side": -0.2}
 
 
-def test_zeros_move_by_just_what_was_written(tmp_path):
+def test_written_zeros_move_the_joints_exactly(tmp_path):
     text = corrected(MIXED, "m.urdf", ZEROS)
     for start, end in (("e", "d"), ("a", "c"), ("d", "b")):
         old, new = (between(urdf.parse(one, "m"), start, end) for one in (MIXED, text))
@@ -29,6 +29,6 @@ def test_zeros_move_by_just_what_was_written(tmp_path):
         np.testing.assert_allclose(new[link], old[link], atol=1e-6)
 
 
-def test_a_joint_that_is_not_there_is_named():
+def test_an_unknown_joint_is_named():
     with pytest.raises(ModelError, match="no joint 'knee'"):
         corrected(MIXED, "m.urdf", {"knee": 0.1})

@@ -72,7 +72,7 @@ def test_a_moving_camera_before_a_still_marker_is_the_effector():
     np.testing.assert_allclose(rotation, poses.rotation, atol=1e-12)
 
 
-def test_quaternions_are_rotations_by_whatever_angle():
+def test_quaternions_are_rotations_at_any_angle():
     draw = np.random.default_rng(3)
     vectors = [*draw.normal(size=(40, 3)), np.array([np.pi, 0, 0]), np.array([0, np.pi, 0]), np.array([0, 0, np.pi])]
     rotations = np.array([exponential(v) for v in vectors])
@@ -93,7 +93,7 @@ def _some(count=400, seed=0, cov=True):
     return Poses(t, true.place + error[:, :3], quaternions(off), "base", t, spread if cov else None), true
 
 
-def test_errors_that_are_as_large_as_stated_have_a_nees_of_one():
+def test_true_error_bars_have_a_nees_of_one():
     found, true = _some()
     values = {score.name: score.value for score in figures.scores(found, true)}
     assert values["rmse/effector_position"] == pytest.approx(np.sqrt(6e-4), rel=0.1)
@@ -103,7 +103,7 @@ def test_errors_that_are_as_large_as_stated_have_a_nees_of_one():
         assert 93 < values[f"coverage_2sigma/effector_{part}"] < 98
 
 
-def test_a_table_of_places_is_scored_without_turns(tmp_path):
+def test_a_table_of_positions_is_scored_without_rotations(tmp_path):
     found, true = _some()
     rows = "\n".join(f"{t},{x},{y},{z}" for t, (x, y, z) in zip(true.t, true.place, strict=True))
     (tmp_path / "laser.csv").write_text("t,x,y,z\n" + rows)
@@ -113,6 +113,6 @@ def test_a_table_of_places_is_scored_without_turns(tmp_path):
     assert load_poses(tmp_path / "joints.csv", 0) is None and load_poses(tmp_path / "x.npz", 0) is None
 
 
-def test_what_shares_no_time_has_no_score():
+def test_disjoint_times_have_no_score():
     found, true = _some()
     assert figures.scores(found, Poses(true.t + 100.0, true.place, true.turn, "base", true.t)) == ()

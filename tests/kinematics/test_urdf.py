@@ -40,14 +40,14 @@ LIES = {
 
 
 @pytest.mark.parametrize("why", LIES)
-def test_lies_are_refused_in_one_line_that_names_the_file(why):
+def test_invalid_urdfs_are_refused_in_one_line_that_names_the_file(why):
     with pytest.raises(FormatError) as refused:
         urdf.parse(LIES[why], "arm.urdf")
     text = str(refused.value)
     assert text.startswith("arm.urdf: ") and why in text and "\n" not in text
 
 
-def test_lengths_that_no_robot_has_are_named():
+def test_implausible_lengths_are_named():
     assert robot_tree.implausible(urdf.parse(ARM, "arm.urdf")) is None
     millimetres = ARM.replace('xyz="0 -0.05 0.4"', 'xyz="0 -50 400"')
     assert "'elbow' stands 403 m" in str(robot_tree.implausible(urdf.parse(millimetres, "arm.urdf")))
@@ -57,11 +57,11 @@ def test_lengths_that_no_robot_has_are_named():
     assert "no" in str(robot_tree.implausible(robot)) and "origin" in str(robot_tree.implausible(robot))
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path):
+def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(FormatError, match="cannot be read"):
         urdf.load(tmp_path / "none.urdf")
 
 
-def test_parsed_twice_is_the_same():
+def test_parsing_is_deterministic():
     first, second = (urdf.parse(MIXED, "m") for _ in range(2))
     assert all(np.array_equal(a.origin, b.origin) for a, b in zip(first.joints, second.joints, strict=True))
