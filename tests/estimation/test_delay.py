@@ -1,5 +1,4 @@
-"""Measured camera delays have true error bars, despite other faults in the log, and none is found where there is none.
-"""
+"""Measured camera delays have true error bars, despite other faults in the log; sound logs have no delay."""
 
 from dataclasses import replace
 

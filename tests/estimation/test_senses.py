@@ -36,7 +36,7 @@ def test_a_model_of_another_robot_names_both(world, method):
 
 def test_a_named_sense_without_sightings_is_an_error_and_a_guessed_one_a_finding(world):
     drawn = world(0, duration=3.0)
-    with pytest.raises(EvidenceError, match=r"vision: asked for.*0 of 36 used, 36 out of view"):
+    with pytest.raises(EvidenceError, match=r"vision: requested.*0 of 36 used, 36 out of view"):
         estimate(unseen(drawn), drawn.body, Estimation(senses=("encoders", "vision")))
     found = estimate(unseen(drawn), drawn.body, Estimation())
     assert any("effector: nothing usable" in finding.text for finding in found.findings)
@@ -44,7 +44,7 @@ def test_a_named_sense_without_sightings_is_an_error_and_a_guessed_one_a_finding
 
 def test_selecting_touch_without_skin_is_an_error(world):
     drawn = world(0, duration=2.0)
-    with pytest.raises(EvidenceError, match="touch: asked for"):
+    with pytest.raises(EvidenceError, match="touch: requested"):
         estimate(drawn.features, drawn.body, Estimation(senses=("encoders", "touch")))
 
 
@@ -110,7 +110,7 @@ def test_a_joint_without_readings_is_counted_refused_if_named_and_needs_a_start(
     mute = replace(drawn.features, joints=replace(joints, values=values))
     with pytest.raises(LogError, match=r"no reading of lift; type in robot.toml \[estim"):
         estimate(mute, drawn.body, Estimation())
-    with pytest.raises(EvidenceError, match="lift: asked for"):
+    with pytest.raises(EvidenceError, match="lift: requested"):
         estimate(mute, drawn.body, Estimation(senses=("lift", "effector"), start=(0.0, 0.0, 0.0)))
     found = estimate(mute, drawn.body, Estimation(start=tuple(drawn.truth.values[0][[0, 1, 2]])))
     assert found.used["encoders"].rejected == {"without lift": len(values)}
