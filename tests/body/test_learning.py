@@ -172,7 +172,7 @@ def test_a_joint_without_finite_readings_is_named(explored) -> None:
     assert found.model.joints == ("pan", "lift")
     texts = "elbow: only 0 of 1000 readings in log 1 are numbers, 4 are needed"
     assert any(text.startswith(f"{texts}; left out") for text in _warnings(found))
-    with pytest.raises(EvidenceError, match=f"{texts}, but [body] joints names it"):
+    with pytest.raises(EvidenceError, match=rf"{texts}, but \[body\] joints names it"):
         learn([features], Settings(body=Body(joints=("pan", "elbow"))), {})
     values = np.full_like(features.joints.values, np.nan)
     with pytest.raises(EvidenceError, match=r"no joint moved; the log has none \(pan: only 0 of 1000"):
