@@ -43,6 +43,16 @@ def test_every_topic_that_is_written_stands_in_the_page_on_formats():
     assert len(topics) > 10 and not {topic for topic in topics if f"/bodylog/{topic}" not in page}
 
 
+def test_the_page_of_the_command_line_says_how_shells_complete():
+    page = (ROOT / "docs" / "cli.md").read_text()
+    for shell in re.findall(r"_BODYLOG_COMPLETE=(\w+)_source", page):
+        assert shell in {"bash", "zsh", "fish"}
+    environment = {**os.environ, "_BODYLOG_COMPLETE": "zsh_source"}
+    program = Path(sys.executable).with_name("bodylog")
+    done = subprocess.run([program], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0 and "#compdef bodylog" in done.stdout
+
+
 def test_the_readme_has_at_most_100_lines():
     assert len((ROOT / "README.md").read_text().splitlines()) <= 100
 
@@ -75,8 +85,22 @@ def test_workflows_run_commands_that_exist():
 def test_tutorial_runs_word_for_word(tmp_path):
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     run = {"bash": ("bash", "-ec"), "python": (sys.executable, "-W", "error", "-c")}
-    for language, block in re.findall(r"```(bash|python)\n(.*?)```", TUTORIAL, re.DOTALL):
+    printed = ""
+    for language, block in re.findall(r"```(bash|python|text)\n(.*?)```", TUTORIAL, re.DOTALL):
+        if language == "text":
+            assert _numbers(block) == pytest.approx(_numbers(printed)[-len(_numbers(block)) :], rel=0.05)
+            assert _words(printed).endswith(_words(block))
+            continue
         command, environment = [*run[language], block], {**os.environ, "PATH": path}
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=environment)
         assert done.returncode == 0, f"{block}\n{done.stdout}\n{done.stderr}"
+        printed = done.stdout
     assert {"body.npz", "smooth.mcap", "smooth.png", "report.html", "results"} <= {p.name for p in tmp_path.iterdir()}
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(number) for number in re.findall(r"\d[\d.]*", text)]
+
+
+def _words(text: str) -> str:
+    return " ".join(re.sub(r"\d[\d.]*", "", text).split())
