@@ -194,7 +194,7 @@ def test_workers_that_are_killed_leave_nothing(tmp_path):
             if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
                 os.kill(int(child), signal.SIGKILL)
         process.communicate(timeout=60)
-    assert process.returncode == 1 and not list(tmp_path.rglob("*.part")) and not list(temporary.glob("bodylog-*"))
+    assert process.returncode == 3 and not list(tmp_path.rglob("*.part")) and not list(temporary.glob("bodylog-*"))
 
 
 FULL = {
