@@ -116,7 +116,7 @@ def test_a_camera_is_taken_for_the_body_s_of_another_name_unless_that_is_there(t
     (tmp_path / "side.toml").write_text('[topics]\ncamera = "/side/image/compressed"\n')
     side, alone, typed = tmp_path / "side.npz", tmp_path / "alone.mcap", ("--config", tmp_path / "side.toml")
     assert run_cli("fit", watched / "explore.mcap", "-o", side, *typed) == 0
-    learned = _printed(capsys, run_cli, "info", side)["log"]
+    learned = _printed(capsys, run_cli, "info", side)["body"]
     assert learned["provenance"]["cameras"] == ["/side/image/compressed"]
     assert run_cli("estimate", watched / "reach.mcap", "--body", side, "-o", tmp_path / "out.mcap") == 65
     advice = '; type: [topics] camera = "/side/image/compressed", for the log as it was recorded'

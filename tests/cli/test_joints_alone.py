@@ -29,7 +29,7 @@ def test_a_log_without_a_body_gets_its_joints_alone(robot, alone, capsys, run_cl
     assert run_cli("estimate", robot / "reach.mcap", "-o", alone, "--json") == 0
     printed = json.loads(capsys.readouterr().out)["results"][0]
     texts = [finding["text"] for finding in printed["findings"]]
-    assert any("no --body: the joints' own sensors alone" in text and "--body body.npz" in text for text in texts)
+    assert any("no --body: encoders alone" in text and "--body body.npz" in text for text in texts)
     assert not printed["faults"] and "rmse/joint" in printed["scores"]
 
 
