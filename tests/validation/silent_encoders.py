@@ -1,0 +1,60 @@
+"""Errors and NEES while all encoders are silent, and from their first reading after that on, over drawn logs."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from bodylog.sim.scenarios import SCENARIOS
+from tests.estimation.conftest import Explored, draw
+from tests.estimation.test_lost import muted
+from tests.validation import error_bars, figures, logs
+
+SINCE, COUNT = 6.0, 10
+"""s: when encoders fall silent; logs a row."""
+SILENCES = {"sines": (1.0, 2.0, 5.0, 10.0), "reaches": (2.0, 5.0), "babble": (2.0, 5.0)}
+
+
+def table():
+    """A row for each motion, length of the silence and method."""
+    head = ("silent for", "method", "in the silence: RMSE, rad; NEES of pan, lift, elbow; within 2 σ",
+            "median NEES of a log", "afterwards: RMSE, mrad; NEES", "worst log, mrad")  # fmt: skip
+    return figures.table(head, [row for name, each in SILENCES.items() for s in each for row in rows(name, s)])
+
+
+def rows(name, silence):
+    """Of one motion and length."""
+    pairs = [KINDS[name](seed, silence) for seed in range(COUNT)]
+    for method in error_bars.METHODS:
+        runs = [figures.found(logs.ObservedLog(muted(log.features, SINCE, SINCE + silence, log.features.joints.names),
+                log.truth), body, method, rate=25.0) for log, body in pairs]  # fmt: skip
+        inside = [run.within(SINCE + 1e-6, SINCE + silence) for run in runs]
+        after = [run.within(SINCE + silence) for run in runs]
+        cover = 100.0 * np.mean([run.coverage for run in inside])
+        cells = (
+            f"{figures.rms([run.rmse for run in inside]):.2g}; {figures.mean_nees(inside)}; {cover:.0f} %",
+            f"{np.median([run.nees.mean() for run in inside]):.2f}",
+            f"{figures.mrad(after)}; {np.mean([run.nees for run in after]):.2f}",
+            f"{1e3 * max(run.rmse for run in after):.3g}",
+        )
+        yield (f"{name}, {silence:g} s ({COUNT})", f"`{method}`", *cells)
+
+
+def sines(seed, silence):
+    """Sines, the model known, and where it was explored."""
+    world = draw(seed, duration=SINCE + silence + 4.0, model=Explored())
+    return logs.of(world), world.body
+
+
+def simulated(scenario):
+    """A scenario's log, in view throughout, and the body learned from an exploration."""
+
+    def in_view(request):
+        return replace(SCENARIOS[scenario].plan(request), covered=None)
+
+    def made(seed, silence):
+        return logs.drawn(scenario, 1000 + seed, SINCE + silence + 4.0, plan=in_view), logs.learned(seed)
+
+    return made
+
+
+KINDS = {"sines": sines, "reaches": simulated("reach"), "babble": simulated("babble")}
