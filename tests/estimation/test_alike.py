@@ -68,13 +68,13 @@ def test_an_arm_under_way_tells_something_new_with_every_frame(world):
         assert np.median(found / (seen[-2] + seen[-1])) == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_lasting_error_counts_as_often_as_two_frames_tell_it():
+def test_a_lasting_error_counts_as_in_a_line_through_two_frames():
     x = np.linspace(0.0, 1.0, 100_001)
     for share, (last, before) in ((alike.PAST, (1 + x, -x)), (alike.WHOLE, (x, 1 - x))):
         like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, share)
-        for alike_by in (0.0, 0.4, 1.0):
-            lasting = (last**2 + before**2 + 2.0 * alike_by * last * before).mean()
-            assert like.times(1.0, alike_by) == pytest.approx(lasting / (last**2 + before**2).mean(), rel=1e-4)
+        for correlation in (0.0, 0.4, 1.0):
+            lasting = (last**2 + before**2 + 2.0 * correlation * last * before).mean()
+            assert like.times(1.0, correlation) == pytest.approx(lasting / (last**2 + before**2).mean(), rel=1e-4)
 
 
 @pytest.mark.parametrize(("share", "steady"), [(alike.PAST, np.sqrt(2.0)), (alike.WHOLE, np.sqrt(0.125))])
@@ -87,7 +87,7 @@ def test_of_frames_that_never_change_what_they_have_in_common_is_stated(share, s
     assert stated * steady * (found[-1] * dt) ** 0.75 * 0.02**0.25 == pytest.approx(np.full(2, error), rel=0.01)
 
 
-def test_what_errs_anew_makes_nothing_else_last(world):
+def test_independent_errors_do_not_extend_the_correlation(world):
     t, places, points, jac, pixel, model = passed(world, 3, 0.02)
     like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, alike.WHOLE)
     once, ten = (alike.variances(like, t, places, points, jac, noise, model) - noise for noise in (pixel, 10.0 * pixel))
@@ -117,7 +117,7 @@ def test_a_resting_arm_is_known_no_better_than_its_model(world, method):
     assert 0.6 < np.mean(inside) < 1.45
 
 
-def test_what_models_have_in_common_is_told_once():
+def test_the_common_error_of_models_counts_once():
     assert alike.repeated([90], [0.8], 2) == (1.0,)
     for share in (0.3, 1.0):
         times = alike.repeated([90, 90, 50, 90], [share, share, 0.0, share], 2)

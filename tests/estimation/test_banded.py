@@ -72,16 +72,16 @@ def textbook(found, line, start, motion, encoder, blur=0.0):
                     if b >= a:
                         f[j * s + a, j * s + b] = dt ** (b - a) / factorial(b - a)
                     power = 2 * order - 1 - a - b
-                    q[j * s + a, j * s + b] = motion.process[j] * dt**power / (
-                        power * factorial(order - 1 - a) * factorial(order - 1 - b)
+                    q[j * s + a, j * s + b] = (
+                        motion.process[j] * dt**power / (power * factorial(order - 1 - a) * factorial(order - 1 - b))
                     )
             if motion.walk is not None:
                 q[j * s + s - 1, j * s + s - 1] = motion.walk[j] * dt
         frame = np.flatnonzero(line.sightings[0] == i)
         place = sighting.values[frame[0]] if len(frame) else None
         if place is not None and seen_before is not None:
-            alike = np.exp(-np.linalg.norm(place - seen_before) / 0.5)
-            left = blur / (blur + PIXEL) + PIXEL / (blur + PIXEL) * alike
+            shared = np.exp(-np.linalg.norm(place - seen_before) / 0.5)
+            left = blur / (blur + PIXEL) + PIXEL / (blur + PIXEL) * shared
             left = min(left, 1.0 - 1e-5)
             f[m * s :, m * s :] *= left
             q[m * s :, m * s :] += (1.0 - left**2) * np.eye(2)
@@ -89,13 +89,13 @@ def textbook(found, line, start, motion, encoder, blur=0.0):
         h, y, r = [], [], []
         row = np.flatnonzero(line.encoders == i)
         for j in range(m) if len(row) else ():
-            said = found.encoders.values[row[0], j]
-            if np.isfinite(said):
+            reading = found.encoders.values[row[0], j]
+            if np.isfinite(reading):
                 h.append(np.zeros(k))
                 h[-1][j * s] = 1.0
                 if motion.walk is not None:
                     h[-1][j * s + s - 1] = 1.0
-                y.append(said)
+                y.append(reading)
                 r.append(encoder[j])
         if place is not None:
             model = sighting.model
@@ -176,7 +176,7 @@ def test_what_an_offset_wins_to_first_order_is_what_it_wins(order):
 @pytest.mark.parametrize("sense", ["encoders", "effector"])
 def test_an_outlier_costs_more_the_farther_out_it_is(method, sense):
     costs = []
-    # nearer ones, hardly told from sound ones, mislead a filter for an image or two
+    # nearer ones, hardly distinct from inliers, mislead a filter for an image or two
     for far in (0.0, 5.0, 8.0, 13.0, 21.0, 50.0, 500.0):
         world = draw(2, duration=8.0)
         joints, track = world.features.joints, world.features.tracks["effector"]
@@ -207,7 +207,7 @@ def test_the_mixture_is_a_proper_cost():
     assert cost[0] == pytest.approx(np.log(2.0 * np.pi), abs=1e-4) and weight[0] > 0.999 and weight[-1] < 1e-9
 
 
-def test_smooth_motion_is_told_from_white_acceleration_and_the_settings_say_so():
+def test_the_order_of_motion_is_chosen_by_evidence_and_stands_in_the_settings():
     orders, t = [], np.arange(0.0, 20.0, 0.01)
     for seed in range(3):
         rng = np.random.default_rng(seed)

@@ -64,13 +64,13 @@ def test_a_smoother_errs_less_than_by_greatest_evidence_and_says_how_much(world,
         monkeypatch.setattr(conftest, "motion", white)
     drawn = [world(seed, duration=30.0) for seed in range(4)]
     found = np.array([errors(one) for one in drawn])
-    monkeypatch.setattr(evidence_search, "least", lambda part, told: (part.precision.process, 1.0))
+    monkeypatch.setattr(evidence_search, "least", lambda part, solved: (part.precision.process, 1.0))
     likeliest = np.array([errors(one) for one in drawn])
     assert np.mean(found[:, 0] / likeliest[:, 0]) < gain
     assert 0.8 < np.mean(found[:, 1]) < 1.2
 
 
-def test_given_variances_are_heard_as_they_are(world, swept):
+def test_given_variances_are_used_unchanged(world, swept):
     drawn = world(0, duration=5.0)
     given = estimate(drawn.features, drawn.body, Estimation(method="smoother", precision="model"))
     np.testing.assert_array_equal(given.settings["process"], [0.3] * 3)

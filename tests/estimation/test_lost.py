@@ -33,7 +33,7 @@ def shifted(features, size, rows, name):
 
 
 def judged(features, drawn, since, **settings):
-    """From `since` (s) on: RMSE (rad), squared error over stated variance, faults, what is said of a lost belief."""
+    """From `since` (s) on: RMSE (rad), squared error over stated variance, faults, findings about a lost belief."""
     found = estimate(features, drawn.body, Estimation(**settings))
     late = found.joints.t >= since
     truth = np.stack([np.interp(found.joints.t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1)
@@ -102,7 +102,7 @@ def test_error_bars_hold_in_silences_on_average(world, silence):
 
 
 @pytest.mark.parametrize("solve", [gauss_newton.solve, smoother.solve])
-def test_no_word_crosses_where_all_is_forgotten(world, linear_model, solve):
+def test_no_information_crosses_a_full_reset(world, linear_model, solve):
     drawn = world(0, duration=9.0, model=linear_model)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
 
@@ -200,6 +200,7 @@ def test_a_pixel_factor_below_one_leaves_variances_positive(world):
 
 def paused(features, since, gap):
     """The same log, all that comes after `since` (s) a `gap` (s) later."""
+
     def later(series):
         return replace(series, t=series.t + gap * (series.t > since))
 

@@ -33,7 +33,7 @@ def likeliest(t, y):
 
 @pytest.mark.parametrize(("noise", "process"), [(4e-4, 0.1), (1e-6, 0.1), (1e-4, 1e-3)])
 @pytest.mark.parametrize("jitter", [0.0, 0.004])
-def test_noise_and_motion_are_told_apart(noise, process, jitter):
+def test_noise_and_motion_are_separated(noise, process, jitter):
     found = []
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -103,10 +103,8 @@ def test_the_bodys_own_and_the_papers_variances(world):
     assert paper["encoder"] == [1.0] * 3
 
 
-def test_a_joint_that_pictures_do_not_tell_moves_as_its_encoder_has_it_and_the_others_as_all_senses_have_it(
-    world, monkeypatch, swept
-):
-    monkeypatch.setattr(evidence_search, "least", lambda part, told: (part.precision.process, 1.0))
+def test_a_joint_undetermined_by_images_keeps_its_encoders_process_variance(world, monkeypatch, swept):
+    monkeypatch.setattr(evidence_search, "least", lambda part, warned: (part.precision.process, 1.0))
     blind = conftest.Linear(np.array([[300.0, 0.0, 0.0], [0.0, 250.0, 0.0]]), np.array([160.0, 120.0]))
     for seed in range(3):
         drawn = world(seed, model=blind, pixel_std=0.1)
@@ -132,15 +130,17 @@ def test_stretches_that_nearly_rest_are_enough_to_tune_by(world, monkeypatch, sw
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "predictive-coding"])
-@pytest.mark.parametrize(("count", "told"), [(20, True), (40, False)])
-def test_too_few_readings_to_learn_noise_from_are_told(world, method, count, told):
+@pytest.mark.parametrize(("count", "warned"), [(20, True), (40, False)])
+def test_too_few_readings_to_learn_noise_from_give_a_warning(world, method, count, warned):
     drawn = world(0)
     joints, until = drawn.features.joints, drawn.features.joints.t[count - 1]
     few = replace(joints, t=joints.t[:count], values=joints.values[:count], source_ns=joints.source_ns[:count])
     tracks = {name: _until(track, until) for name, track in drawn.features.tracks.items()}
     found = estimate(replace(drawn.features, joints=few, tracks=tracks), drawn.body, Estimation(method=method))
-    said = [f.text for f in found.findings if f.severity == "warning" and "too few to learn their noise from" in f.text]
-    assert len(said) == told and all(f"{name} {count}" in text for text in said for name in drawn.body.joints)
+    warnings = [
+        f.text for f in found.findings if f.severity == "warning" and "too few to learn their noise from" in f.text
+    ]
+    assert len(warnings) == warned and all(f"{name} {count}" in text for text in warnings for name in drawn.body.joints)
 
 
 def _until(track, t):

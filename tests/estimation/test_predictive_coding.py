@@ -1,4 +1,4 @@
-"""The paper's descent: where it rests, when it is stable, and its two forms of touch."""
+"""The paper's descent: where it converges, when it is stable, and its two forms of touch."""
 
 import re
 from dataclasses import dataclass, replace
@@ -173,9 +173,9 @@ def test_error_bars_know_the_models_error(world, seed, turns):
     assert score["rmse/joint"] < (0.012, 0.003)[len(turns) - 1]
 
 
-def test_joints_without_an_encoder_are_said_to_have_no_true_error_bars(world):
+def test_joints_without_an_encoder_give_a_warning_about_error_bars(world):
     drawn = world(0, duration=4.0)
-    said = {
+    texts = {
         senses: [f.text for f in estimate(drawn.features, drawn.body, settings).findings if "expected" not in f.text]
         for senses, settings in (
             ("all", DESCENT),
@@ -183,9 +183,9 @@ def test_joints_without_an_encoder_are_said_to_have_no_true_error_bars(world):
             ("paper", replace(DESCENT, senses=("pan", "vision"), preset="paper")),
         )
     }
-    (text,) = said["pan"]
+    (text,) = texts["pan"]
     assert text.startswith("predictive-coding: knows no motion of lift, elbow without encoders")
-    assert text.endswith("type --method laplace") and said["all"] == said["paper"] == []
+    assert text.endswith("type --method laplace") and texts["all"] == texts["paper"] == []
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
@@ -212,7 +212,7 @@ def test_an_encoder_that_lies_is_cause_for_one(world):
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "texts"),
     [
         (Estimation(method="kalman", bias="on"), ["bias: 'on' is ignored by kalman; leave it out, or"]),
         (Estimation(method="kalman", precision="model"), ["precision: 'model' is ignored by kalman; leave it out"]),
@@ -222,7 +222,7 @@ def test_an_encoder_that_lies_is_cause_for_one(world):
         (Estimation(method="kalman", precision="fixed", bias="off"), []),
     ],
 )
-def test_settings_a_method_passes_by_are_said(world, settings, said):
+def test_ignored_settings_give_a_warning(world, settings, texts):
     drawn = world(0, duration=4.0)
     found = [f.text for f in estimate(drawn.features, drawn.body, settings).findings if "ignored by" in f.text]
-    assert len(found) == len(said) and all(text.startswith(part) for text, part in zip(found, said, strict=True))
+    assert len(found) == len(texts) and all(text.startswith(part) for text, part in zip(found, texts, strict=True))

@@ -54,9 +54,9 @@ def test_a_live_filter_uses_them_too(world):
     batch, live = estimate(drawn.features, drawn.body, settings), Estimator(drawn.body, settings)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
     rows = [dict(zip(joints.names, row, strict=True)) for row in joints.values]
-    told = [(t, {"joints": row}) for t, row in zip(joints.t, rows, strict=True)]
-    told += [(t, {"effector": (*place, 9.0, 9.0)}) for t, place in zip(track.t, track.values, strict=True)]
-    beliefs = {t: live.step(t, **one) for t, one in sorted(told, key=lambda one: one[0])}
+    steps = [(t, {"joints": row}) for t, row in zip(joints.t, rows, strict=True)]
+    steps += [(t, {"effector": (*place, 9.0, 9.0)}) for t, place in zip(track.t, track.values, strict=True)]
+    beliefs = {t: live.step(t, **one) for t, one in sorted(steps, key=lambda one: one[0])}
     np.testing.assert_allclose([beliefs[t].x for t in batch.joints.t], batch.joints.values, atol=1e-9, rtol=0)
 
 
@@ -85,14 +85,14 @@ def test_touch_and_the_rate_of_the_prior_are_typed_for_predictive_coding(world):
 
 def test_fixed_says_which_variances_were_used(world):
     drawn = world(8, duration=2.0)
-    said = "variances used are encoders 1 rad², process 0.3 rad²/s³, effector {} px²"
-    typed = f"precision fixed (sigma_vision as typed): {said.format(2)}"
-    for vision, text in ((None, f"precision fixed: {said.format(5)}"), (2.0, typed)):
+    text_used = "variances used are encoders 1 rad², process 0.3 rad²/s³, effector {} px²"
+    typed = f"precision fixed (sigma_vision as typed): {text_used.format(2)}"
+    for vision, text in ((None, f"precision fixed: {text_used.format(5)}"), (2.0, typed)):
         found = estimate(drawn.features, drawn.body, Estimation(precision="fixed", sigma_vision=vision))
         assert text in [finding.text for finding in found.findings]
 
 
-def test_what_there_is_not_is_refused_and_what_a_method_has_not_is_said(world):
+def test_unknown_names_are_refused_and_ignored_variances_give_a_warning(world):
     drawn = world(9, duration=2.0)
     joints = "pan, lift, elbow"
     for key, possible in (("sigma_encoders", joints), ("process", joints), ("sigma_vision", "effector")):
@@ -122,5 +122,3 @@ def test_they_stand_in_robot_toml_and_come_back(tmp_path):
         merge(Settings(), {"estimate": {"process": {"pan": -1.0}}}, "robot.toml")
     with pytest.raises(ConfigError, match="did you mean lambda"):
         merge(Settings(), {"estimate": {"lamda": 1.0}}, "robot.toml")
-
-

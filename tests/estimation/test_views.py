@@ -20,7 +20,7 @@ def track(name, t, hidden=(0.0, 0.0)):
     return Sighting(name, Arm(), t, values, np.ones((len(t), 2)), np.zeros(len(t), int))
 
 
-def test_tracks_in_view_are_told_by_gaps():
+def test_tracks_in_view_are_found_by_gaps():
     frames = np.arange(0.0, 10.0, 0.1)
     tracks = [track("left", frames, (2.05, 5.05)), track("right", frames, (4.05, 4.05 + 0.1 * (LONG - 2)))]
     found, which = views(tracks, np.array([0.0, 2.0, 2.1, 4.5, 5.1, 5.2, 9.95]))

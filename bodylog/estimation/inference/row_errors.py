@@ -23,18 +23,6 @@ STILL = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
-class RowErrors:
-    """One track's F images: coefficients (D,N,F) of the unit states of its own and all tracks before.
-
-    kappa (D,F−1): share of each unit state left from one image to the next · white (D,F): independent variance.
-    """
-
-    reads: Array
-    kappa: Array
-    white: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Looks:
     """One track's F images about points (M,F): y (D,F), J (D,M,F), perception's variance (D,F), the model's (D,F).
 
