@@ -159,7 +159,8 @@ def test_a_joint_without_readings_is_named(plain):
     lifted = lifted.replace('<child link="turret"/>\n', '<child link="rail"/>\n')
     found = learn([features()], Settings(), plain, given(lifted))
     assert found.model is not plain.model
-    assert any(f.severity == "warning" and f.text.startswith("lifter: between camera and marker") for f in found.findings)
+    text = "lifter: between camera and marker"
+    assert any(f.severity == "warning" and f.text.startswith(text) for f in found.findings)
 
 
 def test_a_urdf_without_a_joint_of_the_log_is_refused(plain):
