@@ -1,4 +1,4 @@
-"""Bodies learned from pictures dated late: as good as from sound ones, and they know how late."""
+"""Bodies learned from images with late timestamps: as good as with correct ones, with the delay known."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def learned(*features, delay="auto", known=None):
     return camera_delay.learned(features, Settings(time=Time(delay=delay)), {"version": "0"}, known)
 
 
-def said(found, severity="warning"):
+def findings_of(found, severity="warning"):
     return [f.text for f in found.findings if f.severity == severity and "image timestamps" in f.text]
 
 
@@ -29,7 +29,7 @@ def off(model, seed=9):
 def test_a_sound_exploration_is_learned_as_ever():
     features = run(0, 0.003).features
     found, plain = learned(features), body.learn([features], Settings(), {"version": "0"})
-    assert not said(found) and found.model.provenance == plain.model.provenance and found.scores == plain.scores
+    assert not findings_of(found) and found.model.provenance == plain.model.provenance and found.scores == plain.scores
     ours, theirs = found.model.senses["effector"], plain.model.senses["effector"]
     assert all(np.array_equal(getattr(ours, part), getattr(theirs, part)) for part in ("weights", "centres", "spread"))
 
@@ -38,7 +38,7 @@ def test_a_sound_exploration_is_learned_as_ever():
 def test_a_sound_exploration_too_short_to_tell_is_learned_as_ever(seed):
     features = run(seed, 0.003, 15.0).features
     found = learned(features)
-    assert not said(found) and "delay" not in found.model.provenance
+    assert not findings_of(found) and "delay" not in found.model.provenance
 
 
 LATE = ((0, -0.1), *(pytest.param(*case, marks=pytest.mark.soak) for case in ((1, 0.05), (2, 0.02))))
@@ -49,11 +49,11 @@ def test_a_late_exploration_is_learned_as_a_sound_one(seed, seconds):
     features = run(seed, 0.003).features
     sound, late = learned(features), learned(delayed(features, seconds))
     left = learned(delayed(features, seconds), delay="off")
-    (text,) = said(late)
+    (text,) = findings_of(late)
     assert text.startswith("camera: ") and (" timestamps lag the encoders" in text) == (seconds > 0)
     assert late.model.provenance["delay"]["camera"] == pytest.approx(seconds, abs=2e-3)
     assert off(late.model) < 1.1 * off(sound.model) < 0.8 * off(left.model)
-    (text,) = said(left)
+    (text,) = findings_of(left)
     assert "not corrected" in text and "delay" not in left.model.provenance
     again = estimate(delayed(run(5, 0.003).features, seconds), late.model, Estimation())
     assert not [f for f in again.findings if f.severity == "warning" and "timestamps" in f.text]
@@ -61,9 +61,9 @@ def test_a_late_exploration_is_learned_as_a_sound_one(seed, seconds):
 
 
 def test_each_log_has_its_own_and_what_is_too_short_follows_the_surest():
-    first, other, brief = (run(seed, 0.003, duration).features for seed, duration in ((0, 40.0), (1, 40.0), (2, 2.0)))
-    found = learned(delayed(first, 0.05), delayed(other, -0.04), delayed(brief, 0.05))
-    texts = said(found)
+    first, other, short = (run(seed, 0.003, duration).features for seed, duration in ((0, 40.0), (1, 40.0), (2, 2.0)))
+    found = learned(delayed(first, 0.05), delayed(other, -0.04), delayed(short, 0.05))
+    texts = findings_of(found)
     assert texts[0].startswith("log 1: camera: ") and texts[1].startswith("log 2: camera: ")
     assert abs(found.model.provenance["delay"]["camera"]) == pytest.approx(0.045, abs=0.007)
 
@@ -72,9 +72,9 @@ def test_what_is_given_is_taken_off_and_kept():
     features = run(3, 0.003).features
     found = learned(delayed(features, 0.05), delay={"camera": 0.05})
     plain = learned(features)
-    assert not said(found) and found.model.provenance["delay"] == {"camera": 0.05}
+    assert not findings_of(found) and found.model.provenance["delay"] == {"camera": 0.05}
     assert off(found.model) == pytest.approx(off(plain.model), rel=1e-6)
     more = learned(delayed(run(4, 0.003).features, 0.05), known=found.model)
-    assert not said(more) and more.model.provenance["delay"] == {"camera": 0.05}
+    assert not findings_of(more) and more.model.provenance["delay"] == {"camera": 0.05}
     with pytest.raises(UsageError, match=r"'left' found, possible: joints, camera"):
         learned(features, delay={"left": 0.05})

@@ -34,7 +34,7 @@ def test_a_benchmark_that_ends_badly_is_broken_and_the_others_run(monkeypatch, c
     measured = run._measured
     monkeypatch.setattr(run, "_measured", lambda name: held if name == "another" else measured(name))
     assert run.main() == 4
-    told = capsys.readouterr().out
-    assert "no_such_benchmark runs to its end | not measured | - | **no**" in told and "what holds" in told
+    given = capsys.readouterr().out
+    assert "no_such_benchmark runs to its end | not measured | - | **no**" in given and "what holds" in given
     monkeypatch.setattr(sys, "argv", ["bench", "another"])
     assert run.main() == 0

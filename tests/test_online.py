@@ -20,8 +20,8 @@ def read(reading, seed, noise, duration, reference):
     """Features whose encoders read `reading` of the angles, with a reference of these or without."""
     joints, rng = run(seed, 0.0, duration).features.joints, np.random.default_rng(seed)
     noisy = reading(joints.values) + rng.normal(0.0, noise, joints.values.shape)
-    said = replace(joints, values=noisy)
-    return replace(run(seed, 0.0, duration).features, joints=said, reference=joints if reference else None)
+    text = replace(joints, values=noisy)
+    return replace(run(seed, 0.0, duration).features, joints=text, reference=joints if reference else None)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_raw_readings_as_they_come_give_the_belief_of_the_log(learned, name, bia
     places = np.hstack([track.values, track.std])
     messages += [(t, {"effector": place}) for t, place in zip(track.t, places, strict=True)]
     live = Estimator(model, settings)
-    beliefs = {t: live.step(t, **told) for t, told in sorted(messages, key=lambda message: message[0])}
+    beliefs = {t: live.step(t, **readings) for t, readings in sorted(messages, key=lambda message: message[0])}
     ours = [beliefs[t] for t in batch.joints.t]
     np.testing.assert_allclose([b.x for b in ours], batch.joints.values, atol=1e-9, rtol=0)
     std = np.sqrt(np.einsum("nii->ni", batch.cov))
@@ -59,11 +59,11 @@ def test_readings_taken_for_angles_would_be_far_off(learned):
     """What the tests above hold is the map: without it the same readings give another posture."""
     features = read(READINGS["square"], 0, 0.003, 0.5, False)
     first = dict(zip(features.joints.names, features.joints.values[0], strict=True))
-    told = Estimator(learned["square"]).step(0.0, joints=first).x
+    readings = Estimator(learned["square"]).step(0.0, joints=first).x
     plain = replace(learned["square"], senses={"effector": learned["square"].senses["effector"]})
-    assert np.abs(told - Estimator(plain).step(0.0, joints=first).x).max() > 0.3
+    assert np.abs(readings - Estimator(plain).step(0.0, joints=first).x).max() > 0.3
     true = dict(zip(features.joints.names, run(0, 0.0, 0.5).features.joints.values[0], strict=True))
-    assert np.abs(told - [true[joint] for joint in learned["square"].joints]).max() < 0.02
+    assert np.abs(readings - [true[joint] for joint in learned["square"].joints]).max() < 0.02
 
 
 def test_a_body_whose_readings_do_not_tell_the_angle_is_refused(learned):
@@ -75,7 +75,7 @@ def test_a_body_whose_readings_do_not_tell_the_angle_is_refused(learned):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_pictures_dated_late_are_heard_when_they_were_taken(seed):
+def test_estimator_uses_late_images_at_their_capture_time(seed):
     """As given, or as the body was learned with: the belief of the log, whose pictures are dated as late."""
     drawn, settings = draw(seed, duration=6.0), Estimation(precision="model", bias="off")
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
@@ -86,8 +86,8 @@ def test_pictures_dated_late_are_heard_when_they_were_taken(seed):
     places = np.hstack([track.values, track.std])
     messages += [(t, {"effector": place}) for t, place in zip(late.t, places, strict=True)]
     messages.sort(key=lambda message: message[0])
-    told = replace(drawn.body, provenance={"delay": {"camera": 0.05}})
-    for live in (Estimator(drawn.body, settings, delay={"camera": 0.05}), Estimator(told, settings)):
+    readings = replace(drawn.body, provenance={"delay": {"camera": 0.05}})
+    for live in (Estimator(drawn.body, settings, delay={"camera": 0.05}), Estimator(readings, settings)):
         for t, one in messages:
             belief = live.step(t, **one)
         np.testing.assert_allclose(belief.x, batch.joints.values[-1], atol=1e-9, rtol=0)
@@ -97,7 +97,7 @@ def test_pictures_dated_late_are_heard_when_they_were_taken(seed):
         Estimator(drawn.body, settings, delay={"left": 0.05})
 
 
-def test_what_is_told_at_once_is_said_at_once_however_late_a_part_of_it_is():
+def test_estimator_answers_each_step_even_with_a_late_part():
     drawn = draw(0)
     x, place = drawn.truth.values, drawn.features.tracks["effector"].values
     late, timely = Estimator(drawn.body, delay={"camera": 0.05}), Estimator(drawn.body)

@@ -43,10 +43,10 @@ def test_equations_have_the_numbers_latex_gives_them(source):
         label = re.search(r"\\label\{([^}]*)\}", body)
         if label:
             found[label[1]] = numbers[-1]
-    told = {
+    given = {
         label: int(row[0].split("(")[-1].rstrip(")")) for row in ROWS for label in re.findall(r"`(eq:\w+)`", row[1])
     }
-    assert told == found
+    assert given == found
     everywhere = {int(n) for row in ROWS for n in re.findall(r"\((\d+)\)", row[0])}
     assert everywhere == set(range(1, counted + 1))
 
@@ -54,10 +54,10 @@ def test_equations_have_the_numbers_latex_gives_them(source):
 def test_figures_have_the_numbers_latex_gives_them(source):
     figures = re.findall(r"\\begin\{figure\*?\}.*?\\end\{figure\*?\}", source, re.DOTALL)
     found = {re.findall(r"\\label\{([^}]*)\}", body)[-1]: k for k, body in enumerate(figures, 1)}
-    told = {
+    given = {
         label: int(re.match(r"Fig\. (\d)", row[0])[1]) for row in ROWS for label in re.findall(r"`(fig:\w+)`", row[1])
     }
-    assert told == found
+    assert given == found
 
 
 def test_every_figure_with_data_is_redrawn_by_its_number():

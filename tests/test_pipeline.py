@@ -69,7 +69,7 @@ def test_a_log_without_joints_is_named_when_a_body_shall_be_learned(tmp_path, mo
     assert not list(tmp_path.iterdir())
 
 
-def test_pictures_of_another_width_than_learned_are_refused_unless_they_are_not_heard(tmp_path, arm, arm_body) -> None:
+def test_estimate_rejects_images_of_another_width_unless_unused(tmp_path, arm, arm_body) -> None:
     from bodylog.body import storage
     from bodylog.compare import compare
     from bodylog.errors import ModelError
@@ -90,8 +90,8 @@ def test_an_encoder_that_is_off_from_the_first_on_may_be_the_camera() -> None:
     from bodylog.fault_findings import fault_warnings
     from bodylog.types import Fault
 
-    told = (("drifting", 0.2), ("drifting", 9.0), ("jumping", 0.2))
-    first, later, jump = fault_warnings([Fault("encoders", "a", kind, since, 0.1, "rad") for kind, since in told])
+    given = (("drifting", 0.2), ("drifting", 9.0), ("jumping", 0.2))
+    first, later, jump = fault_warnings([Fault("encoders", "a", kind, since, 0.1, "rad") for kind, since in given])
     assert first.text == (
         "encoders a: drifting since 0.200 s, 0.1 rad; from the start: homed differently, or the camera moved "
         "since the body was learned"

@@ -18,8 +18,8 @@ LOG = Path("log.mcap")
 
 
 @pytest.fixture
-def told(monkeypatch):
-    """told(text): what the log says of its robot."""
+def log_describes(monkeypatch):
+    """log_describes(text): sets the log's robot description."""
 
     def says(text):
         monkeypatch.setattr(robot_description, "described", lambda *_: Described(text, {}, {}))
@@ -31,32 +31,32 @@ def _robot(**chosen):
     return robot_model.robot([LOG], [features(5)], Settings(kinematics=Kinematics(**chosen)))
 
 
-def test_the_logs_own_is_used_unasked_and_not_when_it_is_not_wanted(told):
-    told(ARM)
-    known, remarks = _robot()
-    assert set(JOINTS) <= set(known.robot.by_name) and not known.asked and remarks == ()
+def test_robot_uses_the_logs_own_description_unless_turned_off(log_describes):
+    log_describes(ARM)
+    known, warnings = _robot()
+    assert set(JOINTS) <= set(known.robot.by_name) and not known.asked and warnings == ()
     assert _robot(urdf="log")[0].asked
     assert _robot(use=False) == (None, ())
     paper = Settings(fit=Fit(preset="paper"))
     assert robot_model.robot([LOG], [features(5)], paper) == (None, ())
 
 
-def test_a_file_that_is_named_wins(told, tmp_path):
-    told(ARM)
+def test_robot_prefers_a_named_file(log_describes, tmp_path):
+    log_describes(ARM)
     (tmp_path / "other.urdf").write_text(ARM.replace('name="wrist"', 'name="hinge"'))
     known, _ = _robot(urdf=str(tmp_path / "other.urdf"))
     assert "hinge" in known.robot.by_name and known.asked
 
 
-def test_a_log_without_one_is_learned_without_unless_it_is_asked_for(told):
-    told(None)
+def test_robot_requires_a_description_only_if_requested(log_describes):
+    log_describes(None)
     assert _robot() == (None, ())
     with pytest.raises(LogError, match="no /robot_description in it; give the URDF's file"):
         _robot(urdf="log")
 
 
-def test_one_that_cannot_be_read_is_named_and_refused_only_if_asked_for(told):
-    told("<robot><joint/></robot>")
+def test_robot_rejects_an_unreadable_description_only_if_requested(log_describes):
+    log_describes("<robot><joint/></robot>")
     known, (remark,) = _robot()
     assert known is None and remark.severity == "warning"
     assert "log.mcap: /robot_description" in remark.text and remark.text.endswith("the log's URDF is not used")

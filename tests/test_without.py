@@ -28,8 +28,8 @@ def test_a_track_left_out_is_not_learned(tmp_path, run_cli, capsys):
     (tmp_path / "arm.urdf").write_text(ARM)
     for name, more in (("all", ()), ("some", ("--without", "published"))):
         assert run_cli("fit", log, "-o", tmp_path / f"{name}.npz", "--json", *more) == 0
-        said = json.loads(capsys.readouterr().out)["results"][0]
-        senses = set(said["body"]["senses"])
+        text = json.loads(capsys.readouterr().out)["results"][0]
+        senses = set(text["body"]["senses"])
         assert senses == ({"tip", "published"} if name == "all" else {"tip"})
 
 

@@ -44,8 +44,8 @@ def _measured(name: str) -> list[goals.Goal]:
         done = subprocess.run([sys.executable, "-m", "tests.benchmarks", _ONE, str(into), name])
         found = goals.load(into)
     if done.returncode:
-        said = f"exit code {done.returncode}"
-        found.append(goals.Goal(f"{name} runs to its end", float("nan"), 0.0, False, "", said))
+        text = f"exit code {done.returncode}"
+        found.append(goals.Goal(f"{name} runs to its end", float("nan"), 0.0, False, "", text))
     return found
 
 

@@ -69,10 +69,10 @@ def main(megabytes: int = 300) -> None:
         cases = {name: partial(_and_remove, case, out) for name, case in cases.items()}
         plain, synced, ours, mcap = side_by_side("annotating", cases, repeats=3).values()
         print(f"  against a plain copy, which leaves the disk to others, {ours / plain:.2f}")
-        said = f"a synced copy, {synced:.2f} s; ours {ours:.2f} s"
-        at_most("annotating, times a synced copy", ours / synced, 1.1, "", said)
-        said = f"mcap's reader piped to its writer, {mcap:.2f} s"
-        at_least("annotating, times faster than rewriting the log", mcap / ours, 4, "", said)
+        reported = f"a synced copy, {synced:.2f} s; ours {ours:.2f} s"
+        at_most("annotating, times a synced copy", ours / synced, 1.1, "", reported)
+        reported = f"mcap's reader piped to its writer, {mcap:.2f} s"
+        at_least("annotating, times faster than rewriting the log", mcap / ours, 4, "", reported)
         log.unlink()
         worst, sizes = _memory(Path(folder), (200, 2000) if megabytes >= 1000 else (150, 600))
         # Both longer than what stays mapped behind the place that is read.

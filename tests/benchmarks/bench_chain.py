@@ -75,8 +75,8 @@ def whole(work: Path, kind: str) -> None:
     ours, fresh, durable, copy, digest, *decode = took.values()
     peer = durable - statistics.median(synced[1:])
     print(f"  the peer without its sync {peer:.2f} s, of which the bound speaks; {SECONDS / ours:.0f} x real time")
-    said = f"mcap, mcap_ros2, OpenCV and numpy, not synced, {peer:.2f} s; ours {ours:.2f} s"
-    at_least(f"a minute of {kind}, log to annotated log, times a script", peer / ours, BOUNDS[kind], "", said)
+    text = f"mcap, mcap_ros2, OpenCV and numpy, not synced, {peer:.2f} s; ours {ours:.2f} s"
+    at_least(f"a minute of {kind}, log to annotated log, times a script", peer / ours, BOUNDS[kind], "", text)
     print(f"  it takes {peer / fresh:.1f} x a fresh process's;")
     print(f"  synced as ours is, {durable / ours:.1f} x our time, {durable / fresh:.1f} x a fresh process's")
     reach = f"{peer / max(copy, digest):.1f} x is what a copy and a digest side by side would reach"
@@ -84,8 +84,8 @@ def whole(work: Path, kind: str) -> None:
     for by, alone in zip(("OpenCV (bound 2)", "simplejpeg, as we decode"), decode, strict=False):
         print(f"  {ours / alone:.2f} x decoding alone by {by}; {fresh / alone:.2f} x by a fresh process")
     if decode:
-        said = f"OpenCV on {THREADS} threads, {decode[0]:.2f} s"
-        at_most("a minute of jpeg, log to annotated log, times decoding its pictures", ours / decode[0], 2, "", said)
+        text = f"OpenCV on {THREADS} threads, {decode[0]:.2f} s"
+        at_most("a minute of jpeg, log to annotated log, times decoding its pictures", ours / decode[0], 2, "", text)
 
 
 def _peer(log: Path, body: Path, out: Path, packed: CompressionType, synced: list[float]) -> None:

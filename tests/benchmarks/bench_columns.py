@@ -57,10 +57,10 @@ def main() -> None:
     floor, ours, _, rosbags, mcap_ros2 = times.values()
     what, own = f"{_MESSAGES:,} JointState to arrays", f"ours {ours:.3f} s"
     at_least(f"{what}, times faster than rosbags", rosbags / ours, 15, "", f"rosbags decoded, {rosbags:.2f} s; {own}")
-    said = f"mcap-ros2-support, {mcap_ros2:.2f} s; {own}"
-    at_least(f"{what}, times faster than mcap_ros2", mcap_ros2 / ours, 30, "", said)
-    said = f"decompressing its chunks, {floor:.3f} s; {own}"
-    at_most(f"{what}, part of 2 × decompression + 0.1 s", ours / (2 * floor + 0.1), 1, "", said)
+    reported = f"mcap-ros2-support, {mcap_ros2:.2f} s; {own}"
+    at_least(f"{what}, times faster than mcap_ros2", mcap_ros2 / ours, 30, "", reported)
+    reported = f"decompressing its chunks, {floor:.3f} s; {own}"
+    at_most(f"{what}, part of 2 × decompression + 0.1 s", ours / (2 * floor + 0.1), 1, "", reported)
 
 
 def _generate(path: Path) -> None:

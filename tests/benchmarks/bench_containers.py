@@ -212,8 +212,8 @@ def _versus(
     if least is not None:
         for label in ("bodylog in batches", "bodylog by message"):
             ratio = took["rosbags raw"] / took[label]
-            said = f"rosbags raw, {took['rosbags raw'] * 1e3:.0f} ms; ours {took[label] * 1e3:.0f} ms"
-            at_least(f"{title}, {label.removeprefix('bodylog ')}, times faster than rosbags", ratio, least, "", said)
+            text = f"rosbags raw, {took['rosbags raw'] * 1e3:.0f} ms; ours {took[label] * 1e3:.0f} ms"
+            at_least(f"{title}, {label.removeprefix('bodylog ')}, times faster than rosbags", ratio, least, "", text)
 
 
 def _small(path: Path) -> None:
@@ -224,10 +224,10 @@ def _small(path: Path) -> None:
     brought = {label: read_from_disk(path, case) / 1e6 for label, case in cases.items()}
     for label, megabytes in brought.items():
         print(f"  {label:<52} {megabytes:10.1f} MB brought in from the file")
-    said = f"mcap's seeking reader, {took['mcap'] * 1e3:.1f} ms; ours {took['bodylog'] * 1e3:.1f} ms"
-    at_most(f"{title}, times mcap's reader", took["bodylog"] / took["mcap"], 1, "", said)
-    said = f"mcap's seeking reader, {brought['mcap']:.1f} MB"
-    at_most(f"{title}, brought in from the file", brought["bodylog"], brought["mcap"], "MB", said)
+    text = f"mcap's seeking reader, {took['mcap'] * 1e3:.1f} ms; ours {took['bodylog'] * 1e3:.1f} ms"
+    at_most(f"{title}, times mcap's reader", took["bodylog"] / took["mcap"], 1, "", text)
+    text = f"mcap's seeking reader, {brought['mcap']:.1f} MB"
+    at_most(f"{title}, brought in from the file", brought["bodylog"], brought["mcap"], "MB", text)
 
 
 if __name__ == "__main__":

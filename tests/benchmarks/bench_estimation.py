@@ -31,8 +31,8 @@ def learned(samples: int) -> BodyModel:
     explored = draw(1, duration=samples / 8, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
     model = body.learn([explored.features], Settings(), {}).model
     # noise of the logs below, whose encoders are louder than the exploration's
-    told = replace(model.noise, encoder=(0.01**2,) * 3, senses={"effector": (0.3**2,) * 2})
-    return replace(model, noise=told)
+    noise_model = replace(model.noise, encoder=(0.01**2,) * 3, senses={"effector": (0.3**2,) * 2})
+    return replace(model, noise=noise_model)
 
 
 def whole_log(model: BodyModel) -> dict[str, float]:
@@ -52,8 +52,8 @@ def whole_log(model: BodyModel) -> dict[str, float]:
     for name in ("laplace", "smoother"):
         print(f"  {name}: {medians[name] / steps * 1e6:.1f} µs per step")
     at_most("`laplace`, 10 minutes, a step", medians["laplace"] / steps * 1e6, 7, "µs", f"{steps} steps")
-    ratio, said = medians["smoother"] / medians["laplace"], f"laplace, {medians['laplace']:.2f} s"
-    at_most("`smoother`, times laplace", ratio, 1.15, "", said)
+    ratio, text = medians["smoother"] / medians["laplace"], f"laplace, {medians['laplace']:.2f} s"
+    at_most("`smoother`, times laplace", ratio, 1.15, "", text)
     return {name: seconds / steps for name, seconds in medians.items()}
 
 
@@ -70,8 +70,8 @@ def fast_encoders(model: BodyModel) -> None:
     for name, seconds in took.items():
         print(f"  {name}: {seconds * 1e3:.0f} ms, {seconds / readings * 1e6:.1f} µs per reading")
         if name == "laplace":
-            each, said = seconds / readings * 1e6, f"{readings} readings"
-            at_most("`laplace`, encoders at 500 Hz, a reading", each, 4, "µs", said)
+            each, text = seconds / readings * 1e6, f"{readings} readings"
+            at_most("`laplace`, encoders at 500 Hz, a reading", each, 4, "µs", text)
 
 
 def beside_filterpy(model: BodyModel, ours: dict[str, float]) -> None:
@@ -164,8 +164,8 @@ def growth() -> dict[str, dict[int, float]]:
         costs["M"][joints] = per_step(replayed, body.learn([explored], Settings(), {}).model, 1)
     print("\nlaplace, µs per step of a 60 s log (body's precisions)")
     for name, by_size in costs.items():
-        said = ", ".join(f"{size}: {cost:.1f}" for size, cost in by_size.items())
-        print(f"  {name} = {said}; exponent {exponent(by_size):.2f}")
+        text = ", ".join(f"{size}: {cost:.1f}" for size, cost in by_size.items())
+        print(f"  {name} = {text}; exponent {exponent(by_size):.2f}")
     return costs
 
 
@@ -183,9 +183,9 @@ def chain(joints: int, seed: int, duration: float, camera_hz: float, encoder_hz:
     read = angles[: len(encoders)] + rng.normal(0, 0.01, (len(encoders), joints))
     seen = place[len(encoders) :] + rng.normal(0, 0.3, (len(frames), 2))
     names = tuple(f"joint{k}" for k in range(joints))
-    heard = Series(encoders, read, names, "rad", (1e9 * encoders).astype(np.int64))
+    encoder_readings = Series(encoders, read, names, "rad", (1e9 * encoders).astype(np.int64))
     track = Series(frames, seen, ("u", "v"), "px", (1e9 * frames).astype(np.int64), np.full(seen.shape, 0.3))
-    return Features(heard, {"effector": track}, None, (), (), {})
+    return Features(encoder_readings, {"effector": track}, None, (), (), {})
 
 
 def per_step(given: Features, model: BodyModel, tracks: int) -> float:
@@ -216,8 +216,8 @@ def plot(costs: dict[str, dict[int, float]], out: Path) -> None:
     from matplotlib import pyplot as plt
 
     figure, panels = plt.subplots(1, 3, figsize=(9, 3.0), layout="constrained", sharey=True)
-    said = {"n": ("samples n of the model", 1), "N": ("tracks N", 1), "M": ("joints M", 3)}
-    for axes, (name, (label, power)) in zip(panels, said.items(), strict=True):
+    text = {"n": ("samples n of the model", 1), "N": ("tracks N", 1), "M": ("joints M", 3)}
+    for axes, (name, (label, power)) in zip(panels, text.items(), strict=True):
         sizes, cost = np.array(list(costs[name])), np.array(list(costs[name].values()))
         axes.loglog(sizes, cost, "o-", label="measured")
         allowed = cost[0] * (sizes / sizes[0]) ** power

@@ -16,20 +16,20 @@ from tests.estimation.conftest import World, draw
 ENCODERS, CAMERA, SECONDS = 500.0, 30.0, 20.0
 """Hz, Hz and s of the motion replayed."""
 _LIMITS_US = {(0.0, "encoders"): 60, (0.0, "a picture"): 500, (0.05, "a picture"): 900}
-"""By how late (s) pictures come, and what the step is told."""
+"""By delay (s) of the images, and the step's readings."""
 
 
 def stream(model: BodyModel, world: World, late: float) -> dict[str, Array]:
-    """Microseconds of each step by what it was told, pictures coming `late` s after they were taken."""
+    """Microseconds of each step by its readings; images come `late` s after they were taken."""
     joints, track = world.features.joints, world.features.tracks["effector"]
     order = [joints.names.index(name) for name in model.joints]
     places = np.hstack([track.values, track.std])
     events = [(t, t, "encoders", {"joints": row}) for t, row in zip(joints.t, joints.values[:, order], strict=True)]
     events += [(t + late, t, "a picture", {"effector": row}) for t, row in zip(track.t, places, strict=True)]
     live, costs = Estimator(model), {"encoders": [], "a picture": []}
-    for _, t, what, told in sorted(events, key=lambda event: event[0]):
+    for _, t, what, given in sorted(events, key=lambda event: event[0]):
         started = time.thread_time()
-        live.step(t, **told)
+        live.step(t, **given)
         costs[what].append(time.thread_time() - started)
     return {what: 1e6 * np.array(each[len(each) // 10 :]) for what, each in costs.items()}
 
@@ -56,10 +56,10 @@ def main() -> None:
     for late in (0.0, 0.02, 0.05):
         for what, costs in stream(model, world, late).items():
             middle, rare, most = np.quantile(costs, [0.5, 0.99, 1.0])
-            said = f", {1e3 * late:.0f} ms late" if late and what != "encoders" else ""
+            text = f", {1e3 * late:.0f} ms late" if late and what != "encoders" else ""
             if (late, what) in _LIMITS_US:
-                at_most(f"`Estimator.step`, {what}{said}, median", middle, _LIMITS_US[late, what], "µs")
-            print(f"  {what + said:<24} median {middle:6.0f}  99th percentile {rare:6.0f}  most {most:6.0f}")
+                at_most(f"`Estimator.step`, {what}{text}, median", middle, _LIMITS_US[late, what], "µs")
+            print(f"  {what + text:<24} median {middle:6.0f}  99th percentile {rare:6.0f}  most {most:6.0f}")
     soon, after = allocated(model, world, 20_000)
     print(f"  held after 4,000 steps {soon / 1024:.0f} KiB, after 20,000 {after / 1024:.0f} KiB")
 

@@ -35,8 +35,8 @@ def main() -> None:
             size = f"{path.stat().st_size / 1e6:.0f} MB"
             ours, peer, _ = side_by_side(f"{_MESSAGES} {kind} messages, {size}", cases, 3, cpu=True).values()
             library = {"json": "mcap and json.loads", "protobuf": "mcap-protobuf-support"}[kind]
-            said = f"{library}, {peer / _MESSAGES * 1e6:.1f} µs a message; ours {ours / _MESSAGES * 1e6:.2f} µs"
-            at_least(f"a {kind} column, times faster than message by message", peer / ours, _LEAST, "", said)
+            text = f"{library}, {peer / _MESSAGES * 1e6:.1f} µs a message; ours {ours / _MESSAGES * 1e6:.2f} µs"
+            at_least(f"a {kind} column, times faster than message by message", peer / ours, _LEAST, "", text)
 
 
 def _ours(path: Path) -> Array:

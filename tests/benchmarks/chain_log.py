@@ -78,7 +78,7 @@ def jpegs(path: Path) -> list[Array]:
     """The pictures of a log, (n,) uint8 each."""
     with path.open("rb") as stream:
         decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/camera"])
-        return [np.frombuffer(bytes(said.data), np.uint8) for *_, said in decoded]
+        return [np.frombuffer(bytes(text.data), np.uint8) for *_, text in decoded]
 
 
 def record_features(path: Path, seconds: float, encoder_hz: float) -> World:

@@ -101,11 +101,11 @@ def run(log: Path, model: BodyModel, out: Path, compression: CompressionType) ->
     with log.open("rb") as source, out.open("wb") as target:
         output = Output(Writer(target, compression=compression))
         reader = make_reader(source, decoder_factories=[DecoderFactory()])
-        for schema, channel, message, said in reader.iter_decoded_messages():
+        for schema, channel, message, reported in reader.iter_decoded_messages():
             output.copy(schema, channel, message)
             t = message.log_time / 1e9
             if channel.topic == "/joint_states":
-                angles = np.array([said.position[said.name.index(name)] for name in model.joints])
+                angles = np.array([reported.position[reported.name.index(name)] for name in model.joints])
                 belief = belief or Filter(model, angles)
                 belief.to(t)
                 belief.read(angles)
@@ -114,7 +114,7 @@ def run(log: Path, model: BodyModel, out: Path, compression: CompressionType) ->
                     _put_belief(output, message.log_time, model, belief)
             elif channel.topic == "/camera" and belief is not None:
                 belief.to(t)
-                _look(output, message.log_time, said, wanted, belief)
+                _look(output, message.log_time, reported, wanted, belief)
         output.writer.finish()
     assert belief is not None
     return np.asarray(belief.x[: belief.m])
@@ -129,8 +129,8 @@ def _put_belief(output: Output, ns: int, model: BodyModel, belief: Filter) -> No
     output.put("/script/joint_covariance", "bodylog_msgs/msg/Covariance", ns, names=names, data=covariance)
 
 
-def _look(output: Output, ns: int, said: Any, wanted: dict[str, hsv_ranges.Range], belief: Filter) -> None:
-    for name, place in find(_picture(said), wanted).items():
+def _look(output: Output, ns: int, reported: Any, wanted: dict[str, hsv_ranges.Range], belief: Filter) -> None:
+    for name, place in find(_picture(reported), wanted).items():
         point = {"x": float(place[0]), "y": float(place[1]), "z": 0.0}
         output.put(f"/script/{name}", "geometry_msgs/msg/PointStamped", ns, point=point)
         if name == "effector":
@@ -138,10 +138,10 @@ def _look(output: Output, ns: int, said: Any, wanted: dict[str, hsv_ranges.Range
             output.put("/script/error", "bodylog_msgs/msg/Vector", ns, names=["u", "v"], data=error)
 
 
-def _picture(said: Any) -> Array:
-    if hasattr(said, "format"):
-        return np.asarray(cv2.imdecode(np.frombuffer(said.data, np.uint8), cv2.IMREAD_COLOR))
-    picture = np.frombuffer(said.data, np.uint8).reshape(said.height, said.width, 3)
+def _picture(reported: Any) -> Array:
+    if hasattr(reported, "format"):
+        return np.asarray(cv2.imdecode(np.frombuffer(reported.data, np.uint8), cv2.IMREAD_COLOR))
+    picture = np.frombuffer(reported.data, np.uint8).reshape(reported.height, reported.width, 3)
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
 
 

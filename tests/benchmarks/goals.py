@@ -106,8 +106,8 @@ def page(groups: dict[str, list[Goal]]) -> str:
 
 def machine() -> str:
     """Processor, versions and how busy the machine is, in a sentence each."""
-    said = Path("/proc/cpuinfo")
-    names = re.findall(r"model name\s*:\s*(.+)", said.read_text()) if said.exists() else []
+    text = Path("/proc/cpuinfo")
+    names = re.findall(r"model name\s*:\s*(.+)", text.read_text()) if text.exists() else []
     processor = names[0].strip() if names else platform.processor() or platform.machine()
     found = [f"{name} {known}" for name in _VERSIONS if (known := _version(name))]
     busy = os.getloadavg()[0] / (os.cpu_count() or 1)

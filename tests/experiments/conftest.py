@@ -10,8 +10,8 @@ def small(tmp_path_factory):
     """E2 in one reading."""
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     pytest.importorskip("matplotlib", reason="figures need matplotlib: pip install 'bodylog[report]'")
-    told = []
+    calls = []
     out = tmp_path_factory.mktemp("out")
     wish = Reproduction(out, ("E2",), seeds=1, jobs=1, exploration=8.0, reading={"speed": "4"})
-    claims = reproduce(wish, lambda *said: told.append(said))
-    return wish, claims, told
+    claims = reproduce(wish, lambda *text: calls.append(text))
+    return wish, claims, calls

@@ -1,4 +1,4 @@
-"""What a drift does is told from what it does not do."""
+"""The effect of a drift, separated from all else."""
 
 import numpy as np
 

@@ -39,13 +39,13 @@ def test_there_is_a_notebook_for_every_experiment():
 def test_it_runs_and_says_so(name):
     notebook = nbformat.read(NOTEBOOKS[name], as_version=4)
     nbformat.validate(notebook)
-    said, names = io.StringIO(), {}
-    with redirect_stdout(said):
+    reported, names = io.StringIO(), {}
+    with redirect_stdout(reported):
         for cell in notebook.cells:
             if cell.cell_type == "code":
                 assert not cell.outputs and cell.execution_count is None, "kept without outputs"
                 exec(compile(cell.source, name, "exec"), names)
-    assert re.search(SAYS[name], said.getvalue(), re.MULTILINE), said.getvalue()
+    assert re.search(SAYS[name], reported.getvalue(), re.MULTILINE), reported.getvalue()
 
 
 def test_a_kernel_runs_it_too(tmp_path):

@@ -25,7 +25,7 @@ def test_motion_is_van_loans(order):
     )
 
 
-def told(order, seed=0, count=300):
+def simulated(order, seed=0, count=300):
     """Joints driven by white acceleration or jerk, seen by encoders and camera."""
     from bodylog.experiments.drawn import place
 
@@ -42,8 +42,8 @@ def told(order, seed=0, count=300):
 
 
 @pytest.mark.parametrize("order", [2, 3])
-def test_the_order_of_motion_is_told_by_evidence(order):
-    sensed, true = told(order)
+def test_known_finds_the_order_of_motion_by_evidence(order):
+    sensed, true = simulated(order)
     found = known(sensed)
     assert found.order == order
     errors = [np.sqrt(np.mean((x - true)[50:] ** 2)) for x in (sensed.encoders, found.filtered, found.smoothed)]
@@ -51,7 +51,7 @@ def test_the_order_of_motion_is_told_by_evidence(order):
 
 
 def test_the_filter_is_the_textbooks_of_the_other_tests():
-    sensed, _ = told(2, count=120)
+    sensed, _ = simulated(2, count=120)
     eye = textbook.eyes(ARMS["ur5"], JOINTS, (320, 240))[0]
     frames = [(eye, sensed.place, sensed.pixel_var)]
     theirs = textbook.filtered(sensed.t, sensed.encoders, np.full(3, 0.02**2), frames, DENSITIES[2][:2])[0]

@@ -59,10 +59,10 @@ LOW = {HOSTILE: [0.0]}
 
 def test_whatever_a_claim_says_stays_text():
     bound = Bound("≤", 1.0)
-    said = (HOSTILE, HOSTILE, HOSTILE, HOSTILE, bound)
-    claims = [own(*said, [0.0], HOSTILE), comparison(*said, LOW, HOSTILE, HOSTILE), erratum(*said, LOW, HOSTILE),
-              variants(*said, {"a": [2.0], HOSTILE: [0.0]}, HOSTILE, HOSTILE),
-              paper(*said, HOSTILE, lambda key, name: (0.0,), ["centre"], explanation=HOSTILE)]  # fmt: skip
+    cells = (HOSTILE, HOSTILE, HOSTILE, HOSTILE, bound)
+    claims = [own(*cells, [0.0], HOSTILE), comparison(*cells, LOW, HOSTILE, HOSTILE), erratum(*cells, LOW, HOSTILE),
+              variants(*cells, {"a": [2.0], HOSTILE: [0.0]}, HOSTILE, HOSTILE),
+              paper(*cells, HOSTILE, lambda key, name: (0.0,), ["centre"], explanation=HOSTILE)]  # fmt: skip
     assert "<script" not in tables.claim_tables(claims)
     assert "<script" not in "".join(map(tables.outcomes_table, claims))
 

@@ -25,10 +25,10 @@ def window():
 def opened(tmp_path, monkeypatch, window):
     """A page of two experiments, whose names and figures nobody chose kindly."""
     for name in ("first", "second"):
-        experiment = Experiment(name, HOSTILE, lambda lab, seed, told: {}, _claims, (), _tables)
+        experiment = Experiment(name, HOSTILE, lambda lab, seed, tried: {}, _claims, (), _tables)
         monkeypatch.setitem(page.EXPERIMENTS, name, experiment)
-    told = dict.fromkeys(("first", "second"), Readings(({},)))
-    page.write(tmp_path, {"first": [_trial(20.0)] * 3, "second": [_trial(12.0)] * 3}, told, 3, "320×240")
+    tried = dict.fromkeys(("first", "second"), Readings(({},)))
+    page.write(tmp_path, {"first": [_trial(20.0)] * 3, "second": [_trial(12.0)] * 3}, tried, 3, "320×240")
     window.open(tmp_path / "index.html")
     return window
 
@@ -39,7 +39,7 @@ def _trial(end):
     return {"figures": {"a": 0.5}, "panels": [panel(HOSTILE, "rad", t, lines), panel("flat", "px", t, {"a": 0 * t})]}
 
 
-def _claims(trials, told):
+def _claims(trials, tried):
     figures = [trial["figures"]["a"] for trial in trials]
     return (own(HOSTILE, HOSTILE, HOSTILE, HOSTILE, Bound("≤", 1.0), figures, HOSTILE),)
 

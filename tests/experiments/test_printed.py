@@ -91,8 +91,8 @@ class _Known:
 
 
 def test_many_at_once_are_each_alone_and_what_diverges_is_not_a_number(known, signals):
-    told = [{}, {"sigma_v": "pixels"}, {"integration": "equilibrium"}, {"mu_x": "zero", "integration": "implicit"}]
-    cases = [case(known, reading, "p1+p3+v", np.array([0.1, 0.1, 0.1])) for reading in told]
+    given = [{}, {"sigma_v": "pixels"}, {"integration": "equilibrium"}, {"mu_x": "zero", "integration": "implicit"}]
+    cases = [case(known, reading, "p1+p3+v", np.array([0.1, 0.1, 0.1])) for reading in given]
     together = believed(signals, cases).x
     for k, one in enumerate(cases):
         assert np.array_equal(together[k], believed(signals, [one]).x[0], equal_nan=True)
@@ -101,7 +101,7 @@ def test_many_at_once_are_each_alone_and_what_diverges_is_not_a_number(known, si
     assert np.isnan(believed(signals, [far]).x[0, -1]).all()
 
 
-def test_what_is_not_asked_for_is_not_heard(known, signals):
+def test_case_uses_only_the_requested_senses(known, signals):
     start = np.array([0.1, 0.1, 0.1])
     deaf = Signals(
         signals.t, signals.encoders * [1, np.nan, 1], signals.place, signals.hand, signals.delay, signals.true

@@ -1,4 +1,4 @@
-"""What the paper leaves open, listed, typed and told."""
+"""Open constants of the paper: listed, typed, rejected."""
 
 import pytest
 
@@ -38,7 +38,7 @@ def test_the_centre_is_the_centre_however_it_is_typed():
 
 
 @pytest.mark.parametrize(
-    ("typed", "told"),
+    ("typed", "given"),
     [
         ("sigma=1", "must be one of sigma_n, sigma_v"),
         ("sigma_n", "type: --reading sigma_n=noise"),
@@ -48,10 +48,10 @@ def test_the_centre_is_the_centre_however_it_is_typed():
         ("speed=nan", "or a number above 0"),
     ],
 )
-def test_what_is_not_possible_is_said(typed, told):
+def test_parsed_names_the_possible_values(typed, given):
     with pytest.raises(UsageError) as found:
         parsed(typed)
-    assert told in str(found.value)
+    assert given in str(found.value)
 
 
 def test_a_design_has_the_centre_each_value_and_what_is_together():

@@ -1,4 +1,4 @@
-"""Real robots' poses: what is missing is said; where they are at hand they are judged on the published split."""
+"""Real robots' poses: missing files are named; others are judged on the published split."""
 
 from pathlib import Path
 

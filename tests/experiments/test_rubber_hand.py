@@ -10,7 +10,7 @@ from bodylog.experiments.records import Readings
 from bodylog.types import Features, Series, Stroke, Touch
 
 
-def test_the_image_of_the_hand_is_late_and_displaced_and_synchrony_is_judged_anew():
+def test_displaced_delays_and_shifts_the_hand_and_recomputes_synchrony():
     t = np.arange(0.0, 10.0, 0.1)
     hand = Series(t, np.ones((len(t), 2)), ("u", "v"), "px", t)
     touches = tuple(Touch(s, s + 0.8, (3,), 0.9, 3, 0) for s in (2.0, 6.0))

@@ -11,13 +11,13 @@ from bodylog.experiments.records import Experiment
 
 
 def test_the_squared_encoders_hide_the_sign_and_vision_tells_it(small):
-    _, claims, told = small
+    _, claims, calls = small
     assert [claim.id for claim in claims] == [f"E2.{k}" for k in range(1, 6)]
     by = {claim.id: claim for claim in claims}
     assert [by[name].verdict for name in ("E2.1", "E2.2", "E2.4")] == ["holds"] * 3
     assert by["E2.5"].outcomes["default"].median < 0.2 < 1.0 < by["E2.4"].outcomes["default"].median
     assert list(by["E2.1"].outcomes) == ["speed=4"] and list(by["E2.5"].outcomes) == ["default"]
-    assert told == [("E2 seed 0", 1, 1)]
+    assert calls == [("E2 seed 0", 1, 1)]
 
 
 def test_a_second_run_computes_nothing_and_gives_the_same_bytes(small, monkeypatch):
@@ -33,7 +33,7 @@ def test_an_interrupted_run_goes_on_where_it_was(small, monkeypatch):
     wish, _, _ = small
     made = []
     monkeypatch.setattr(run.Lab, "log", lambda *args, **options: _never())
-    monkeypatch.setitem(run.EXPERIMENTS, "E9", Experiment("E9", "", _second_fails(made), lambda trials, told: ()))
+    monkeypatch.setitem(run.EXPERIMENTS, "E9", Experiment("E9", "", _second_fails(made), lambda trials, calls: ()))
     monkeypatch.setitem(run.EXPERIMENTS, "E2", EXPERIMENTS["E2"])
     wish = replace(wish, names=("E9",), seeds=3)
     with pytest.raises(KeyboardInterrupt):
@@ -43,7 +43,7 @@ def test_an_interrupted_run_goes_on_where_it_was(small, monkeypatch):
 
 
 def _second_fails(made):
-    def once(lab, seed, told):
+    def once(lab, seed, calls):
         made.append(seed)
         if made == [0, 1]:
             raise KeyboardInterrupt
@@ -56,7 +56,7 @@ def _never(*_):
     raise AssertionError("computed again")
 
 
-def test_what_is_not_installed_is_said_before_anything_runs(tmp_path, monkeypatch):
+def test_reproduce_names_missing_packages_before_any_run(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "find_spec", lambda name: None)
     with pytest.raises(UsageError, match=r"pybullet is not installed; type: pip install 'bodylog\[sim\]'"):
         reproduce(run.Reproduction(tmp_path / "out"))

@@ -25,8 +25,8 @@ class Disc:
 
 def wall(rng: np.random.Generator, width: int = 320, height: int = 240, contrast: float = 8.0) -> Array:
     """A grey wall (H,W,3) float with blotches a few px wide."""
-    grain = rng.normal(0.0, 1.0, (height, width, 3))
-    soft = cv2.GaussianBlur(grain, (0, 0), 2.5)
+    pixel_noise = rng.normal(0.0, 1.0, (height, width, 3))
+    soft = cv2.GaussianBlur(pixel_noise, (0, 0), 2.5)
     return np.asarray(110.0 + contrast * soft / soft.std())
 
 
@@ -35,8 +35,8 @@ def draw(background: Array, discs: Sequence[Disc], rng: np.random.Generator, noi
     picture = background.astype(np.float32)
     for disc in discs:
         _paint(picture, disc)
-    grain = rng.standard_normal(picture.shape, dtype=np.float32)
-    return np.clip(np.rint(picture + np.float32(noise) * grain), 0, 255).astype(np.uint8)
+    pixel_noise = rng.standard_normal(picture.shape, dtype=np.float32)
+    return np.clip(np.rint(picture + np.float32(noise) * pixel_noise), 0, 255).astype(np.uint8)
 
 
 def _paint(picture: Array, disc: Disc) -> None:

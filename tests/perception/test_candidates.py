@@ -64,7 +64,7 @@ def test_a_tag_that_moves_with_the_joints_comes_before_colours() -> None:
     assert found.candidates[1].name == "green" and not found.candidates[1].why
 
 
-def test_where_the_effector_is_said_to_be_decides() -> None:
+def test_survey_puts_candidates_at_the_given_effector_first() -> None:
     assert survey(film(), "red", effector_uv=(30.0, 210.0)).candidates[0].name == "yellow"
 
 

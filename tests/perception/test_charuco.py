@@ -52,8 +52,8 @@ def test_corners_of_either_pattern_are_as_exact_as_stated(legacy: bool) -> None:
         assert np.isfinite(values).all() and f"legacy = {str(legacy).lower()}" in found.findings[0].text
         apart.append(values[0, :, :2] - corners)
         stated.append(values[0, :, 2:])
-    true, said = (np.sqrt(np.mean(np.square(one))) for one in (apart, stated))
-    assert true < 0.06 and 0.6 < said / true < 1.6
+    true, reported = (np.sqrt(np.mean(np.square(one))) for one in (apart, stated))
+    assert true < 0.06 and 0.6 < reported / true < 1.6
 
 
 def test_a_moving_board_is_followed_and_hidden_corners_are_not_made_up() -> None:

@@ -214,7 +214,7 @@ def test_a_colour_another_feature_uses_is_never_proposed(other: Colour) -> None:
     assert "type:" not in finding.text
 
 
-def test_no_camera_and_no_pictures_are_said() -> None:
+def test_observe_reports_a_missing_camera_and_missing_images() -> None:
     features = observe(scenes.recording(), Settings())
     assert not features.tracks and "camera: none" in features.findings[0].text
     empty = observe(scenes.recording(lambda: iter(())), Settings())
@@ -343,7 +343,7 @@ def test_further_cameras_look_for_what_is_on_the_arm_and_name_it_by_camera() -> 
     assert blind.tracks["side/effector"].values.shape == (0, 2)
 
 
-def test_a_colour_a_further_camera_never_saw_is_told_with_its_name_and_the_setting_to_type() -> None:
+def test_observe_names_a_colour_that_a_further_camera_never_saw_and_the_setting_to_type() -> None:
     pictures = scenes.frames(T[:5], _film([[Disc(100.0, 100.0, 15.0, scenes.YELLOW)]] * 5, 0))
     _, _, (finding,) = colour_tracker.track(pictures, {"side/effector": "green"})
     assert finding.text.startswith("side/effector: 'green' was never found in 5 pictures")

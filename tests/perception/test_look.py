@@ -17,13 +17,13 @@ GREEN = [hsv_ranges.resolve("green", "it")]
 
 
 def look(frames: Iterator[Frame], threads: int, number: Array | None = None) -> Seen:
-    with FrameSearcher(GREEN, None, False, threads) as told:
+    with FrameSearcher(GREEN, None, False, threads) as given:
         count = 0
         for frame in frames:
-            told(frame)
+            given(frame)
             count += 1
     chosen = np.arange(count) if number is None else number
-    return told.seen(ConsumedFrames(chosen / 30.0, chosen, chosen, told))
+    return given.seen(ConsumedFrames(chosen / 30.0, chosen, chosen, given))
 
 
 def _film(count: int, seed: int) -> list[Frame]:
@@ -44,7 +44,7 @@ def test_the_same_bytes_however_many_threads_look(seed: int) -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
-def test_what_is_wrong_with_the_log_ends_all_threads_and_is_told(threads: int) -> None:
+def test_frame_searcher_raises_errors_and_ends_all_threads(threads: int) -> None:
     film = _film(40, 0)
     taken = []
 
@@ -81,7 +81,7 @@ def test_a_thread_that_fails_keeps_the_others_from_going_on(threads: int) -> Non
     assert len(asked) < 1000
 
 
-def test_of_the_pictures_told_of_those_are_kept_that_are_frames_in_their_order() -> None:
+def test_frame_searcher_keeps_the_consumed_images_that_are_frames_in_order() -> None:
     film = _film(40, 1)
     whole, number = look(iter(film), 2), np.array([33, 2, 7, 39])
     some = look(iter(film), 2, number)

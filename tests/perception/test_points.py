@@ -60,10 +60,10 @@ def test_a_point_is_followed_without_drift_and_as_exactly_as_stated(noise: float
         assert found.names == ("tip",) and seen.mean() > 0.95
         apart.append((found.values[:, 0, :2] - places)[seen])
         stated.append(found.values[seen, 0, 2:])
-    errors, said = np.concatenate(apart), np.concatenate(stated)
+    errors, text = np.concatenate(apart), np.concatenate(stated)
     true = np.sqrt(np.mean(errors**2))
     assert np.abs(errors).max() < 0.6 and true < 0.15
-    assert 0.5 < np.sqrt(np.mean(said**2)) / true < 2.0
+    assert 0.5 < np.sqrt(np.mean(text**2)) / true < 2.0
     late = np.concatenate([one[-8:] for one in apart])
     assert np.sqrt(np.mean(late**2)) < 0.15
 
@@ -84,13 +84,13 @@ def _broken(scale: int) -> Array:
 
 
 @pytest.mark.parametrize(
-    ("point", "at", "told"),
+    ("point", "at", "message"),
     [
         ((3.0, 100.0), 0.0, r"features.tip.point is \[3.0, 100.0\]; possible: 6 to 313, 6 to 233 px"),
         ((160.0, 120.0), 9.0, "features.tip.at is 9 s, but no image was taken then: the nearest is at 0.100 s"),
         ((160.0, 120.0), 0.0, "too plain to follow; take a corner"),
     ],
 )
-def test_a_point_that_cannot_be_followed_is_refused(point, at, told) -> None:
-    with pytest.raises(EvidenceError, match=told):
+def test_a_point_that_cannot_be_followed_is_refused(point, at, message) -> None:
+    with pytest.raises(EvidenceError, match=message):
         points.tracked(_frames([np.full((240, 320), 90, np.uint8)] * 2), {"tip": PointSource(point, at)})

@@ -77,7 +77,7 @@ def test_narrow_ranges_are_found_wherever_they_lie_among_the_colours(seed: int) 
         assert np.hypot(*(found[:2] - (80, 60))) < 0.5, (h, s, v)
 
 
-def test_as_many_colours_as_are_wanted_are_told_apart() -> None:
+def test_windows_separates_any_number_of_colours() -> None:
     rng = np.random.default_rng(2)
     hues = range(0, 180, 10)
     paints = [cv2.cvtColor(np.array([[[h, 220, 200]]], np.uint8), cv2.COLOR_HSV2BGR)[0, 0].tolist() for h in hues]

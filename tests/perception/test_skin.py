@@ -90,7 +90,7 @@ def test_silence_ends_a_touch() -> None:
     assert health.largest_gap_s == pytest.approx(2.01)
 
 
-def test_dead_and_stuck_cells_are_named_and_left_out() -> None:
+def test_touches_names_and_ignores_dead_and_constantly_touched_cells() -> None:
     values = _rest(0)
     values[:, 7] = 0.0
     values[:, 30] = 0.97 + 0.01 * np.sin(T)
@@ -103,7 +103,7 @@ def test_dead_and_stuck_cells_are_named_and_left_out() -> None:
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0])
-def test_skin_all_zeros_or_all_ones_is_no_sense_and_is_said(level: float) -> None:
+def test_touches_rejects_constant_skin_with_a_warning(level: float) -> None:
     features = observe(scenes.recording(skin=_series(np.full((500, CELLS), level))), Settings())
     assert features.touches is None
     assert any(f"all 117 cells read {level:g} from first to last" in finding.text for finding in features.findings)

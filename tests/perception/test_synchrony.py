@@ -57,9 +57,9 @@ def test_what_has_no_partner_is_alone_and_pairs_keep_their_order() -> None:
 def test_a_constant_latency_is_taken_off_only_when_asked() -> None:
     touches = _touches(2)
     late = _strokes(touches, [0.6] * len(touches))
-    kept, said = match_touches(touches, late)
+    kept, reported = match_touches(touches, late)
     assert all(pair.weight < 0.1 for pair in kept)
-    assert "0.600 s after the skin feels them" in said[0].text and "--clock-offset auto" in said[0].text
+    assert "0.600 s after the skin feels them" in reported[0].text and "--clock-offset auto" in reported[0].text
     for offset in ("auto", 0.6, "0.6"):
         freed, _ = match_touches(touches, late, clock_offset=offset)
         assert all(abs(pair.delay) < 1e-9 and pair.weight > 0.99 for pair in freed)
@@ -68,9 +68,9 @@ def test_a_constant_latency_is_taken_off_only_when_asked() -> None:
 def test_unsteady_delays_are_no_clock_offset() -> None:
     touches = _touches(3)
     delays = np.random.default_rng(3).uniform(0.0, 1.0, len(touches))
-    found, said = match_touches(touches, _strokes(touches, delays.tolist()), clock_offset="auto")
+    found, reported = match_touches(touches, _strokes(touches, delays.tolist()), clock_offset="auto")
     assert np.allclose([pair.delay for pair in found], delays)
-    assert said[0].severity == "warning" and "none subtracted" in said[0].text
+    assert reported[0].severity == "warning" and "none subtracted" in reported[0].text
 
 
 def test_an_offset_that_is_no_number_is_refused() -> None:

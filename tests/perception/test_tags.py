@@ -1,4 +1,4 @@
-"""Tags: every dictionary, corners against the drawn truth, stated deviations, following, and what is none."""
+"""Tags: every dictionary, corners against the drawn truth, stated deviations, tracking, and false detections."""
 
 import cv2
 import numpy as np
@@ -52,8 +52,8 @@ def test_stated_deviations_are_those_from_the_truth(side: float) -> None:
         if found.number.size:
             apart.append(found.centres[0] - centre)
             stated.append(np.sqrt(np.diag(found.centre_cov[0])))
-    true, said = np.sqrt(np.mean(np.square(apart))), np.sqrt(np.mean(np.square(stated)))
-    assert len(apart) >= 28 and true < 0.15 and 0.5 < said / true < 2.0
+    true, text = np.sqrt(np.mean(np.square(apart))), np.sqrt(np.mean(np.square(stated)))
+    assert len(apart) >= 28 and true < 0.15 and 0.5 < text / true < 2.0
     near = np.abs(apart) < 2 * np.array(stated)
     assert near.mean() > 0.85
 

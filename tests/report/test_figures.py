@@ -32,9 +32,9 @@ def test_same_log_same_bytes(tmp_path, suffix):
 
 def test_the_whole_log_has_joints_pixels_skin_events_and_trajectories(tmp_path):
     recording_figure(recording(), features(), tmp_path / "f.svg")
-    said = words(tmp_path / "f.svg")
-    assert {"joints, rad", "pixels", "skin cell", "felt", "seen", "u, pixels", "0.93", "time, s"} <= set(said)
-    assert {"shoulder_pan_joint", "effector u", "hand v", "reach.mcap"} <= set(said)
+    reported = words(tmp_path / "f.svg")
+    assert {"joints, rad", "pixels", "skin cell", "felt", "seen", "u, pixels", "0.93", "time, s"} <= set(reported)
+    assert {"shoulder_pan_joint", "effector u", "hand v", "reach.mcap"} <= set(reported)
 
 
 @pytest.mark.parametrize(
@@ -101,10 +101,10 @@ def test_names_from_a_log_stay_text(tmp_path):
 
 def test_body_surfaces_run_over_the_two_joints_that_moved_most(tmp_path):
     body_figure(body(), tmp_path / "b.svg")
-    said = words(tmp_path / "b.svg")
-    assert {"effector u: mean", "effector v: standard deviation"} <= set(said)
-    assert {"shoulder_pan_joint, rad", "shoulder_lift_joint, rad"} <= set(said)
-    assert "elbow_joint, rad" not in said
+    reported = words(tmp_path / "b.svg")
+    assert {"effector u: mean", "effector v: standard deviation"} <= set(reported)
+    assert {"shoulder_pan_joint, rad", "shoulder_lift_joint, rad"} <= set(reported)
+    assert "elbow_joint, rad" not in reported
     x = np.random.default_rng(0).uniform(-1, 1, (30, 3)) * (0.01, 0.5, 2.0)
     body_figure(body(senses={"effector": Bowl(x)}), tmp_path / "c.svg")
     assert "shoulder_pan_joint, rad" not in words(tmp_path / "c.svg")
@@ -122,9 +122,9 @@ def test_a_body_without_samples_or_with_one_joint(tmp_path):
 def test_an_estimate_shows_belief_truth_encoder_faults_errors_and_free_energy(tmp_path):
     log = recording()
     estimate_figure(estimate(), log.truth, log.joints, tmp_path / "e.svg")
-    said = set(words(tmp_path / "e.svg"))
-    assert {"belief", "truth", "encoder", "off truth, mrad", "drift since 8.2 s"} <= said
-    assert {"encoders error, σ", "effector error, σ", "free energy, nats"} <= said
+    reported = set(words(tmp_path / "e.svg"))
+    assert {"belief", "truth", "encoder", "off truth, mrad", "drift since 8.2 s"} <= reported
+    assert {"encoders error, σ", "effector error, σ", "free energy, nats"} <= reported
     assert axes_of(tmp_path / "e.svg") == 3 + 3 + 2 + 1
 
 

@@ -104,8 +104,8 @@ def test_the_page_shows_everything(tmp_path):
     ]  # fmt: skip
     assert [mark["ink"] for mark in plotted(page)["marks"]] == ["felt"] * 5 + ["seen"] * 5 + ["fault"]
     words = ("0.0068 rad", "rmse/joint", "drift", "8.250 s", "60 not seen", "3 not finite", "/joint_states", "sha256")
-    for said in words:
-        assert said in page
+    for reported in words:
+        assert reported in page
     assert page.count("data:image/jpeg;base64,") == 6
 
 
@@ -139,8 +139,8 @@ def test_the_predicted_track_has_its_band_where_it_says_how_sure_it_is(tmp_path)
     belief = estimate()
     expected = belief.predicted["effector"]
     blunt = replace(belief, predicted={"effector": replace(expected, std=None)})
-    for said, kinds in ((belief, ["band", "line", "dots"]), (blunt, ["line", "dots"])):
-        data = plotted(report(tmp_path / "r.html", estimate=said))
+    for reported, kinds in ((belief, ["band", "line", "dots"]), (blunt, ["line", "dots"])):
+        data = plotted(report(tmp_path / "r.html", estimate=reported))
         panel = next(panel for panel in data["panels"] if panel["title"] == "effector v, px")
         assert [trace["kind"] for trace in panel["traces"]] == kinds
         low = numbers(panel["traces"][0], data["span"])[1]
@@ -226,7 +226,7 @@ def test_numbers_that_are_none_do_not_break_the_page(tmp_path):
 
 
 @pytest.mark.parametrize("start_ns", [0, -5, 2**62, -(2**62)])
-def test_a_clock_of_any_year_is_said(tmp_path, start_ns):
+def test_header_shows_any_start_time(tmp_path, start_ns):
     assert "mcap" in report(tmp_path / "r.html", recording=replace(recording(), start_ns=start_ns))
 
 

@@ -97,4 +97,4 @@ def test_a_script_that_got_into_the_page_would_not_run(tmp_path, window):
     (tmp_path / "r.html").write_text(text.replace("</body>", "<script>window.hit = 1</script></body>"))
     window.open(tmp_path / "r.html")
     assert window.run("return window.hit === undefined")
-    assert any("Content Security Policy" in said for said in window.complaints())
+    assert any("Content Security Policy" in reported for reported in window.complaints())

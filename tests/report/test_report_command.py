@@ -28,13 +28,13 @@ def test_page_and_figures(run_cli, touched, tmp_path):
     assert {"touches felt, strokes seen", "synchrony, 0..1", "seen minus felt, s", "skin, 0..1"} <= shown
     assert {f"{sense}: prediction error, standard deviations" for sense in ("encoders", "effector", "touch")} <= shown
     assert {mark["ink"] for mark in plotted(page)["marks"]} >= {"felt", "seen"}
-    for said in ("Health of the log, per topic", "Settings", "Provenance", "body_sha256", "rmse/joint"):
-        assert said in page
+    for text in ("Health of the log, per topic", "Settings", "Provenance", "body_sha256", "rmse/joint"):
+        assert text in page
     assert page.count("data:image/jpeg;base64,") == 6
 
 
 def test_features_alone_tell_as_much_as_the_pictures(run_cli, touched, robot, tmp_path, capsys):
-    raw, features, told = robot / "touch.mcap", tmp_path / "features.mcap", []
+    raw, features, given = robot / "touch.mcap", tmp_path / "features.mcap", []
     for log, out in ((raw, features), (features, tmp_path / "again.mcap")):
         tables = tmp_path / f"{out.stem}.tables"
         assert run_cli("extract", log, "-o", out, "--csv", tables) == 0
@@ -44,11 +44,11 @@ def test_features_alone_tell_as_much_as_the_pictures(run_cli, touched, robot, tm
         files = {path.name: path.read_text() for path in tables.iterdir()}
         scores = json.loads(capsys.readouterr().out)["results"][0]["scores"]
         # features hold no true poses
-        told.append((files, {name: one for name, one in scores.items() if "/effector_" not in name}))
-    assert told[0][0]["strokes.csv"].count("\n") > 2 and told[0][0].keys() == told[1][0].keys()
-    assert told[0][1] == told[1][1]
-    for name in told[0][0]:
-        first, second = (_numbers(files[name]) for files, _ in told)
+        given.append((files, {name: one for name, one in scores.items() if "/effector_" not in name}))
+    assert given[0][0]["strokes.csv"].count("\n") > 2 and given[0][0].keys() == given[1][0].keys()
+    assert given[0][1] == given[1][1]
+    for name in given[0][0]:
+        first, second = (_numbers(files[name]) for files, _ in given)
         assert first == pytest.approx(second, abs=1e-8, nan_ok=True), name
 
 

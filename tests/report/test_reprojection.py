@@ -42,17 +42,17 @@ def test_a_track_without_kinematics_or_sightings_is_left_out():
     assert sheets(replace(seen, tracks={"effector": blind}), found) == ()
 
 
-def test_zeros_are_told_with_their_std_or_why_there_are_none():
+def test_zeros_show_their_std_or_why_they_are_not_identifiable():
     lift, rail, pan = zeros(TOLD)
     assert lift.shown == ("+2.00° ± 0.10°", "+0.03490 ± 0.00170 rad")
     assert rail.shown[0] == "-2.00 mm ± 0.50 mm"
     assert pan.shown == ("not identifiable: camera's turn about the z axis of base", "")
 
 
-@pytest.mark.parametrize("told", [None, 3, {"a": 1}, {"a": {"std": "x"}}, {"a": {"value": True, "std": 1.0}},
+@pytest.mark.parametrize("given", [None, 3, {"a": 1}, {"a": {"std": "x"}}, {"a": {"value": True, "std": 1.0}},
                                   {"a": {"value": float("nan"), "std": 1.0}}])  # fmt: skip
-def test_zeros_that_are_none_are_left_out(told):
-    assert zeros(told) == ()
+def test_zeros_leaves_out_invalid_entries(given):
+    assert zeros(given) == ()
 
 
 def test_the_page_escapes_names_and_the_figures_are_drawn(tmp_path):
@@ -67,7 +67,7 @@ def test_the_page_escapes_names_and_the_figures_are_drawn(tmp_path):
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_only_the_first_tracks_are_drawn_and_that_is_said():
+def test_section_draws_the_first_tracks_and_counts_the_rest():
     point = np.array([[0.0, 0.0], [5.0, 3.0]])
     many = [Sheet(f"corner.{k}", point, point, point) for k in range(40)]
     text = section(many, ())

@@ -59,7 +59,7 @@ def values(recording, entity, component):
 @there
 def test_rerun_verifies_it_and_finds_estimate_pictures_and_annotations(seen, tmp_path):
     assert "1 file verified without error" in rerun(tmp_path, "rrd", "verify", seen)
-    said = rerun(tmp_path, "rrd", "print", "-v", seen)
+    printed = rerun(tmp_path, "rrd", "print", "-v", seen)
     joints = ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint")
     for entity, component in (
         ("/camera/image/compressed", "EncodedImage:blob"),
@@ -74,7 +74,7 @@ def test_rerun_verifies_it_and_finds_estimate_pictures_and_annotations(seen, tmp
         ("/bodylog/errors/effector", "Scalars:scalars"),
         ("/bodylog/energy", "Scalars:scalars"),
     ):
-        assert f"{entity}@{component}" in said.replace("\n", " "), (entity, component)
+        assert f"{entity}@{component}" in printed.replace("\n", " "), (entity, component)
 
 
 @there
@@ -114,15 +114,15 @@ def test_the_overlay_lies_in_the_pictures_plane(seen):
 def test_a_log_without_an_estimate_is_shown_as_it_is(run_cli, robot, tmp_path, capsys):
     capsys.readouterr()
     assert run_cli("view", robot / "reach.mcap", "-o", tmp_path / "r.rrd") == 0
-    said = rerun(tmp_path, "rrd", "stats", tmp_path / "r.rrd")
-    assert "/camera/image/compressed" in said and "/joint_states/position" in said and "/bodylog" not in said
+    printed = rerun(tmp_path, "rrd", "stats", tmp_path / "r.rrd")
+    assert "/camera/image/compressed" in printed and "/joint_states/position" in printed and "/bodylog" not in printed
 
 
 @there
 def test_a_bag_is_shown_by_way_of_a_tidy_log(run_cli, arm, tmp_path):
     assert run_cli("view", arm / "reach.bag", "-o", tmp_path / "b.rrd") == 0
-    said = rerun(tmp_path, "rrd", "stats", tmp_path / "b.rrd")
-    assert "/joint_states/position" in said and "image" in said
+    printed = rerun(tmp_path, "rrd", "stats", tmp_path / "b.rrd")
+    assert "/joint_states/position" in printed and "image" in printed
 
 
 @there
@@ -134,7 +134,7 @@ def test_a_packed_log_is_unpacked_for_rerun(run_cli, robot, tmp_path):
     assert "/joint_states/position" in rerun(tmp_path, "rrd", "stats", tmp_path / "x.rrd")
 
 
-def test_the_frame_of_pictures_in_protobuf_is_told_beside_a_header_they_have_not():
+def test_frame_id_of_protobuf_images_stands_without_a_header():
     log = Path(__file__).parents[2].parent / "shared" / "logs" / "gagalo123__mcap-explorer" / "examples" / "demo.mcap"
     if not log.exists():
         pytest.skip("needs recorded logs beside the project")
@@ -174,9 +174,9 @@ def test_pictures_that_rerun_cannot_read_are_converted_or_left_out_by_name(run_c
     capsys.readouterr()
     assert run_cli("view", log, "-o", out, "--config", config) == 0
     out.rename(tmp_path / "raw.rrd")
-    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning")]
+    printed = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning")]
     named = f"{tmp_path}/raw\\udcff.mcap"
-    assert said == [f"warning: {named}: /weird: left out, Rerun cannot show it: got weird"]
+    assert printed == [f"warning: {named}: /weird: left out, Rerun cannot show it: got weird"]
     out = tmp_path / "raw.rrd"
     assert len(values(out, "/rgb8", "Image:buffer")[0]) == 3
     ns, pictures = values(out, "/uyvy", "EncodedImage:blob")
@@ -191,9 +191,9 @@ def test_of_a_log_that_rerun_refuses_whole_what_plays_a_role_is_shown(run_cli, t
     write(log, [broken, joints("/joints", rows)])
     capsys.readouterr()
     assert run_cli("view", log, "-o", out) == 0
-    (said,) = [line for line in capsys.readouterr().err.splitlines() if "Rerun" in line]
-    assert said.startswith(f"warning: {log}: Rerun cannot read it (Failed to load MCAP file: Invalid schema broken")
-    assert said.endswith("its joints, skin and images alone are shown")
+    (printed,) = [line for line in capsys.readouterr().err.splitlines() if "Rerun" in line]
+    assert printed.startswith(f"warning: {log}: Rerun cannot read it (Failed to load MCAP file: Invalid schema broken")
+    assert printed.endswith("its joints, skin and images alone are shown")
     assert len(values(out, "/joint_states/position", "Scalars:scalars")[0]) == 5
     write(log, [broken])
     assert run_cli("view", log, "-o", out) == 65
@@ -209,17 +209,17 @@ def test_names_are_names_whatever_signs_they_hold(tmp_path, cameras):
     found = log["features"]
     rerun_recording.write(tmp_path / "h.rrd", HOSTILE, (), cameras, found, log["estimate"], log["recording"].truth)
     assert "1 file verified without error" in rerun(tmp_path, "rrd", "verify", tmp_path / "h.rrd")
-    said = rerun(tmp_path, "rrd", "print", tmp_path / "h.rrd")
-    assert said.count("/bodylog/belief/") >= 6 and "/bodylog/events" in said
-    assert ("/cam/" in said) == any(camera.topic == "/cam" for camera in cameras.values())
+    printed = rerun(tmp_path, "rrd", "print", tmp_path / "h.rrd")
+    assert printed.count("/bodylog/belief/") >= 6 and "/bodylog/events" in printed
+    assert ("/cam/" in printed) == any(camera.topic == "/cam" for camera in cameras.values())
 
 
 @there
-def test_events_are_told_in_order_with_their_synchrony():
-    told = rerun_recording.events(features(), estimate())
-    assert [ns for ns, *_ in told] == sorted(ns for ns, *_ in told) and len(told) == 6
-    assert told[0][2] == "touch of cells 11, 12, 13, seen +0.050 s later, synchrony 0.93"
-    assert [text for _, level, text in told if level == "WARN"] == ["encoders shoulder_pan_joint: drift, 0.3 rad"]
+def test_events_are_in_order_with_their_synchrony():
+    given = rerun_recording.events(features(), estimate())
+    assert [ns for ns, *_ in given] == sorted(ns for ns, *_ in given) and len(given) == 6
+    assert given[0][2] == "touch of cells 11, 12, 13, seen +0.050 s later, synchrony 0.93"
+    assert [text for _, level, text in given if level == "WARN"] == ["encoders shoulder_pan_joint: drift, 0.3 rad"]
     assert rerun_recording.events(None, None) == []
 
 
@@ -239,9 +239,9 @@ def test_without_a_screen_the_error_says_what_to_type(annotated, run_cli, monkey
         monkeypatch.delenv(name, raising=False)
     capsys.readouterr()
     assert run_cli("view", annotated) == 2
-    said = capsys.readouterr().err
-    assert "could not open a window (" in said and "type: bodylog view LOG -o out.rrd" in said and said.count("\n") == 1
-    assert ".rs:" not in said and "DISPLAY" in said
+    err = capsys.readouterr().err
+    assert "could not open a window (" in err and "type: bodylog view LOG -o out.rrd" in err and err.count("\n") == 1
+    assert ".rs:" not in err and "DISPLAY" in err
 
 
 def test_without_rerun_the_error_says_what_to_type(monkeypatch):
