@@ -60,3 +60,10 @@ def test_estimates_contain_no_nan(world, field, text):
     values[(3, 1) if values.ndim > 1 else 3] = np.nan
     with pytest.raises(EvidenceError, match=text):
         finite(replace(found, **{field: values if isinstance(bad, np.ndarray) else replace(bad, values=values)}))
+
+
+def test_frozen_takes_rounding_alone_for_no_noise():
+    """Between rests, readings in steps scatter as noise does; yet they repeat as soon as the joint rests."""
+    joints = drawn(102, Drawn("reach", step=0.0015)).features.joints
+    for k, name in enumerate(joints.names):
+        assert not frozen(joints.t, joints.values[:, k]), name

@@ -7,11 +7,14 @@ fault only for encoders that are noisy all the time, at rest and in motion.
 import numpy as np
 
 from ...types import Array
+from ..noise.quantisation import step_size
 
 FROZEN, FEWEST = 0.5, 10
 """s and readings: shortest stretch of one repeated value that may be a freeze."""
 RARE = 0.02
 """Largest share of repeats among other readings; above it, the encoder counts in steps and may be at rest."""
+ROUNDED = 1.35
+"""Steps: rounding alone scatters second differences by √(6/12) = 0.7 of a step, noise of one step by √6.5 = 2.5."""
 WINDOW, STEADY = 16, 0.2
 """Readings per window, and the smallest scatter of a window over the median one; less means noise ends at rest."""
 
@@ -40,4 +43,5 @@ def noisy(y: Array) -> bool:
         return False
     width = min(WINDOW, len(bends))
     scatter = np.sqrt(np.square(bends[: len(bends) // width * width].reshape(-1, width)).mean(axis=1))
-    return bool(scatter.min() > STEADY * np.median(scatter))
+    usual = float(np.median(scatter))
+    return bool(scatter.min() > STEADY * usual) and usual > ROUNDED * step_size(y)
