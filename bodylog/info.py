@@ -35,9 +35,9 @@ def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
     from .recording import recording
 
     with local_path(url) as path:
-        told = recording.info(path, settings, settings.input.strict)
-    findings = [{**said, "text": said["text"].replace(str(path), url)} for said in told["findings"]]
-    return told | {"path": url, "findings": findings}
+        facts = recording.info(path, settings, settings.input.strict)
+    findings = [{**one, "text": one["text"].replace(str(path), url)} for one in facts["findings"]]
+    return facts | {"path": url, "findings": findings}
 
 
 def _info_body(path: Path) -> dict[str, Any]:
@@ -74,12 +74,12 @@ def _sense(sense: ForwardModel, joints: Sequence[str]) -> dict[str, Any]:
     from .body.kinematic.model import KinematicGP
     from .body.senses.encoder_function import Polynomial
 
-    told: dict[str, Any] = {"outputs": list(sense.outputs), "unit": getattr(sense, "unit", "")}
+    facts: dict[str, Any] = {"outputs": list(sense.outputs), "unit": getattr(sense, "unit", "")}
     if isinstance(sense, GP):
         scales = [dict(zip(joints, group, strict=True)) for group in sense.scales.tolist()]
-        told |= {"samples": len(sense.samples), "length_scales": scales}
-        return told | ({"kinematics": _links(sense)} if isinstance(sense, KinematicGP) else {})
-    return told | ({"coefficients": sense.coefficients.tolist()} if isinstance(sense, Polynomial) else {})
+        facts |= {"samples": len(sense.samples), "length_scales": scales}
+        return facts | ({"kinematics": _links(sense)} if isinstance(sense, KinematicGP) else {})
+    return facts | ({"coefficients": sense.coefficients.tolist()} if isinstance(sense, Polynomial) else {})
 
 
 def _links(sense: "KinematicGP") -> dict[str, str | None]:

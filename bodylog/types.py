@@ -234,7 +234,7 @@ class Capabilities:
 class Estimate:
     """Where the body was: joints (N,M) rad, rate (N,M) rad/s, cov (N,M,M) rad², free energy (N,) nats.
 
-    errors {sense: Series in standard deviations at the times it was heard} · used {sense: Health} ·
+    errors {sense: Series in standard deviations at its times} · used {sense: Health} ·
     predicted {track: Series px with std at the track's times} · predicted_cov {track: (K,2,2) px²} ·
     bias (N,M) rad or None · faults · settings as resolved · can: what the method can do ·
     effector: poses in the robot's base, where lengths are known in m · kinematic {track: px by kinematics alone}.

@@ -40,7 +40,7 @@ def _tests(python: Path, options: list[str]) -> int:
 
 
 def _environment(name: str) -> Path:
-    """The Python of the environment of that name, installed anew when pyproject.toml has changed."""
+    """The Python of the environment of that name, reinstalled when pyproject.toml has changed."""
     folder = ROOT / "build" / f"python-{name}"
     python, stamp = folder / "bin" / "python", folder / "pyproject.toml"
     if not stamp.exists() or stamp.read_text() != SOURCE:

@@ -14,7 +14,7 @@ TRUTH = (Score("rmse/joint", 0.0072, "rad"), Score("rmse/encoders", 0.0196, "rad
 TRUTH = (*TRUTH, Score("coverage_2sigma/joint", 95.9, "%"))
 
 
-def test_a_sound_log_is_said_to_be_sound_with_its_error() -> None:
+def test_verdict_of_a_sound_log_names_no_fault_and_its_error() -> None:
     assert of_estimate(SOUND, TRUTH) == (
         f"no fault found in {len(JOINTS)} encoders and effector",
         "error (RMSE) 0.0072 rad, raw encoders 0.0196; 2σ covers 95.9 % of the truth",

@@ -99,8 +99,8 @@ def _case(suite: ET.Element, row: Row) -> None:
         first = _xml(row["error"]).strip().splitlines()[-1]
         ET.SubElement(case, kind, {"message": first, "type": row["status"]}).text = _xml(row["error"])
     scores = "\n".join(f"{name} = {value}" for name, value in row["scores"].items())
-    remarks = "\n".join(f"{severity}: {text}" for severity, text in row["findings"])
-    ET.SubElement(case, "system-out").text = _xml(f"{row['log']}\n{scores}\n{remarks}")
+    findings = "\n".join(f"{severity}: {text}" for severity, text in row["findings"])
+    ET.SubElement(case, "system-out").text = _xml(f"{row['log']}\n{scores}\n{findings}")
 
 
 def _xml(text: str) -> str:

@@ -25,9 +25,9 @@ __all__ = ["METHODS", "check", "estimate", "joints_body", "limit_findings", "no_
 def estimate(
     features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float] = "auto"
 ) -> Estimate:
-    """The belief by `settings.method`, each camera's `delay` taken off as `corrected` has it.
+    """Estimate by `settings.method` after each camera's `delay` is corrected (see `corrected`).
 
-    ModelError, EvidenceError or UsageError when it cannot be had: there are no numbers in it that are none.
+    All its numbers are finite; otherwise ModelError, EvidenceError or UsageError.
     """
     check(body, settings)
     method = METHODS[settings.method]
@@ -40,18 +40,18 @@ def estimate(
         found = replace(finite(method.estimate(timely.features, body, settings)), can=method.can)
     if timely.delays:
         found = add_delay_uncertainty(as_stamped(found, features, timely.features), timely)
-        told = {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
-        found = replace(found, settings={**found.settings, **told})
+        delays = {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
+        found = replace(found, settings={**found.settings, **delays})
     weighed = [asdict(one) for one in timely.hypotheses] + list(found.settings.get("hypotheses", ()))
     found = replace(found, settings={**found.settings, "hypotheses": weighed} if weighed else found.settings)
-    remarks = (*timely.findings, *found.findings, *ignored_settings(settings), *consistency_findings(found, settings))
-    return replace(found, findings=remarks)
+    findings = (*timely.findings, *found.findings, *ignored_settings(settings), *consistency_findings(found, settings))
+    return replace(found, findings=findings)
 
 
 def check(body: BodyModel, settings: Estimation) -> None:
-    """UsageError for a method, a form of touch, a preset or a sense that there is not, whatever the log may show."""
+    """UsageError for a method, form of touch, preset or sense that does not exist or that the method cannot use."""
     if settings.method not in METHODS:
-        raise UsageError(f"method: {settings.method!r} is none of {', '.join(METHODS)}")
+        raise UsageError(f"method: {settings.method!r} is unknown; possible: {', '.join(METHODS)}")
     method = METHODS[settings.method]
     if settings.touch == "literal" and not method.literal_touch:
         able = " or ".join(name for name, one in METHODS.items() if one.literal_touch)

@@ -64,7 +64,7 @@ def test_estimates_contain_no_nan(world, field, text):
 
 
 def test_frozen_takes_rounding_alone_for_no_noise():
-    """Between rests, readings in steps scatter as noise does; yet they repeat as soon as the joint rests."""
+    """In motion, readings in steps scatter as noise does; yet they repeat while the joint is still."""
     joints = drawn(102, Drawn("reach", step=0.0015)).features.joints
     for k, name in enumerate(joints.names):
         assert not frozen(joints.t, joints.values[:, k]), name

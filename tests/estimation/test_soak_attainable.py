@@ -1,6 +1,6 @@
 """How near the belief comes to what could be known, and whether its error bars are true, over ten seeds.
 
-What could be known: a textbook filter and smoother that share no code with ours and are told everything, see textbook.
+What could be known: a textbook filter and smoother that share no code with ours and know everything, see textbook.
 A smooth error has few independent samples in 20 s, so that one log says little: means over seeds are judged, and
 printed with their standard errors.
 """
@@ -36,7 +36,7 @@ class Known:
 
 
 def attainable(features, truth, names, lines):
-    """{method: least error (rad)} of beliefs that are told everything but which constant noise moves the arm."""
+    """{method: least error (rad)} of beliefs that know everything but which constant noise moves the arm."""
     joints, order = features.joints, [features.joints.names.index(name) for name in names]
     tracks = [track for name, track in features.tracks.items() if name.endswith("effector")]
     t = np.unique(np.concatenate([joints.t, *(track.t for track in tracks)]))
@@ -47,8 +47,8 @@ def attainable(features, truth, names, lines):
         seen[np.searchsorted(t, track.t)] = track.values
         off = track.values - known.line(at_times(truth, list(names), track.t))[0]
         frames.append((known, seen, np.nanmean(off**2, axis=0)))
-    told = (t, readings, np.full(3, ENCODER_STD**2), frames, PROCESSES)
-    found = {"laplace": textbook.filtered(*told), "smoother": textbook.smoothed(*told)[1]}
+    given = (t, readings, np.full(3, ENCODER_STD**2), frames, PROCESSES)
+    found = {"laplace": textbook.filtered(*given), "smoother": textbook.smoothed(*given)[1]}
     at, true = np.searchsorted(t, joints.t), at_times(truth, list(names), joints.t)[:, None]
     apart = {method: mean[at, :, :3] - true for method, (mean, _) in found.items()}
     return {method: float(np.sqrt((one**2).mean(axis=(0, 2))).min()) for method, one in apart.items()}
@@ -82,8 +82,8 @@ def judge(rows):
     for method, factor in FACTORS.items():
         values = np.array([found[method] for found in rows])
         mean, error = values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
-        told = [f"{c} {m:.3f} ± {e:.3f}" for c, m, e in zip(COLUMNS, mean, error, strict=True)]
-        print(f"\n{method}: {', '.join(told)}")
+        columns = [f"{c} {m:.3f} ± {e:.3f}" for c, m, e in zip(COLUMNS, mean, error, strict=True)]
+        print(f"\n{method}: {', '.join(columns)}")
         assert mean[0] <= factor
         assert all(0.85 < one < 1.2 for one in mean[1:4])
         assert 93.0 < mean[4] < 97.0
@@ -133,7 +133,7 @@ def test_still_arms_in_drawn_postures(tmp_path, monkeypatch):
     for method, found in ratios.items():
         mean, error = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(len(found))
         print(f"\n{method}: nees {mean.round(3)} ± {error.round(3)}")
-        # pan is told by pictures, of one place and hence with one error in a log
+        # images alone inform pan, at one place with one error in each log
         assert 0.5 < mean[0] < 1.5
         assert all(0.85 < one < 1.2 for one in mean[1:])
 

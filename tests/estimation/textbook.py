@@ -1,7 +1,6 @@
-"""What could be known: a textbook extended Kalman filter and smoother in full matrices, told the truth.
+"""An oracle: a textbook extended Kalman filter and smoother in full matrices, given the truth.
 
-Told are the arm's kinematics and the camera (from the URDF and the pinhole's definition, sharing no code with what is
-tested), the variances of encoders and pixels, and whichever constant process noise gives the least error.
+Given are the arm's kinematics and the camera (from the URDF and the pinhole's definition, sharing no code with the package), the variances of encoders and pixels, and whichever constant process noise gives the least error.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -10,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 PASSES = 3
-"""Times frames are linearised anew at the smoothed angles."""
+"""Times frames are linearised again at the smoothed angles."""
 
 
 @dataclass(frozen=True)
@@ -117,14 +116,14 @@ def _forth(t, readings, encoder_var, frames, q, path):
         seen = [(eye, y[k], var) for eye, y, var in frames if np.isfinite(y[k]).all()]
         at = prior[:, :m] if path is None else path[k]
         for _ in range(3 if path is None and seen else 1):
-            z, p = _heard(prior, prior_cov, readings[k], encoder_var, seen, at)
+            z, p = _updated(prior, prior_cov, readings[k], encoder_var, seen, at)
             at = z[:, :m]
         for row, value in zip(rows, (move, prior, prior_cov, z, p), strict=True):
             row.append(value)
     return tuple(np.array(row) for row in rows)
 
 
-def _heard(z, p, reading, encoder_var, seen, at):
+def _updated(z, p, reading, encoder_var, seen, at):
     """One update with all of an instant, frames linearised at angles (Q,M)."""
     m, count = len(reading), len(z)
     use = np.flatnonzero(np.isfinite(reading))
