@@ -1,6 +1,7 @@
 """An oracle: a textbook extended Kalman filter and smoother in full matrices, given the truth.
 
-Given are the arm's kinematics and the camera (from the URDF and the pinhole's definition, sharing no code with the package), the variances of encoders and pixels, and whichever constant process noise gives the least error.
+It has the arm's kinematics and the camera (from the URDF and the pinhole's definition, sharing no code with the
+package), the variances of encoders and pixels, and whichever constant process noise gives the least error.
 """
 
 import xml.etree.ElementTree as ElementTree
