@@ -5,7 +5,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .body_model import BodyModel, ForwardModel
 from .io import remote
 from .io.atomic_files import is_archive
 from .io.values import read_json
@@ -13,6 +12,7 @@ from .settings import Settings
 
 if TYPE_CHECKING:
     from .body.kinematic.model import KinematicGP
+    from .body_model import BodyModel, ForwardModel
 
 
 def info(log: Path | str, settings: Settings) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def _info_body(path: Path) -> dict[str, Any]:
     }
 
 
-def _zeros(learned: BodyModel) -> dict[str, Any]:
+def _zeros(learned: "BodyModel") -> dict[str, Any]:
     """The joints' zeros and scales of a body that was learned with a URDF."""
     from .body.kinematic import model as kinematic_gp
     from .body.kinematic import offsets
@@ -68,7 +68,7 @@ def _zeros(learned: BodyModel) -> dict[str, Any]:
     return dict(offsets.tables(offsets.learned(learned), offsets.scaled(learned)))
 
 
-def _sense(sense: ForwardModel, joints: Sequence[str]) -> dict[str, Any]:
+def _sense(sense: "ForwardModel", joints: Sequence[str]) -> dict[str, Any]:
     """What a sense's model is made of: samples and a length scale (rad) for each joint, or coefficients."""
     from .body.gp.model import GP
     from .body.kinematic.model import KinematicGP

@@ -1,45 +1,60 @@
 """The table of commands."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
 from typing import Any
 
 import click
 
 from bodylog import __version__
 
-from . import (
-    batch,
-    compare,
-    config,
-    convert,
-    doctor,
-    estimate,
-    evaluate,
-    extract,
-    features,
-    fit,
-    info,
-    ingest,
-    layout,
-    offsets,
-    plot,
-    record,
-    report,
-    reproduce,
-    view,
-)
 from .output import VERBOSITY
 from .places import guarded
 
-GROUPS: Mapping[str, tuple[click.Command, ...]] = {
-    "Record": (record.record, record.simulate, ingest.ingest, convert.convert),
-    "Look": (info.info, doctor.doctor, features.features, features.colours, plot.plot, view.view),
-    "Learn": (extract.extract, fit.fit, offsets.offsets),
-    "Estimate": (estimate.estimate, config.config),
-    "Judge": (evaluate.evaluate, compare.compare, report.report, layout.layout),
-    "Many logs": (batch.batch, reproduce.reproduce),
+GROUPS: Mapping[str, Mapping[str, str]] = {
+    "Record": {"record": "record", "simulate": "record", "ingest": "ingest", "convert": "convert"},
+    "Look": {
+        **{"info": "info", "doctor": "doctor", "features": "features", "colours": "features"},
+        **{"plot": "plot", "view": "view"},
+    },
+    "Learn": {"extract": "extract", "fit": "fit", "offsets": "offsets"},
+    "Estimate": {"estimate": "estimate", "config": "config"},
+    "Judge": {"evaluate": "evaluate", "compare": "compare", "report": "report", "layout": "layout"},
+    "Many logs": {"batch": "batch", "reproduce": "reproduce"},
 }
-"""Commands in the order of work."""
+"""Commands in the order of work, and the module of each."""
+
+_MODULES = {name: module for commands in GROUPS.values() for name, module in commands.items()}
+
+
+class ByName(Mapping[str, click.Command]):
+    """Commands by name; a command's module is imported once the command is needed."""
+
+    def __getitem__(self, name: str) -> click.Command:
+        """The command; KeyError if there is none of this name."""
+        return _command(_MODULES[name], name)
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names in the order of work."""
+        return iter(_MODULES)
+
+    def __len__(self) -> int:
+        """The number of commands."""
+        return len(_MODULES)
+
+
+@cache
+def _command(module: str, name: str) -> click.Command:
+    """A command with -q and -v; it starts once its outputs are known to differ from its inputs."""
+    command: click.Command = getattr(import_module(f".{module}", __package__), name)
+    command.params += [
+        _verbosity("-q", "--quiet", -1, "Print errors alone."),
+        _verbosity("-v", "--verbose", 1, "Print all remarks."),
+    ]
+    if command.callback is not None:
+        command.callback = guarded(command.callback)
+    return command
 
 
 class NoReader(Exception):
@@ -59,21 +74,11 @@ class Commands(click.Group):
             ctx.exit(2)
         return super().parse_args(ctx, args)
 
-    def add_command(self, cmd: click.Command, name: str | None = None) -> None:
-        """Add a command with -q and -v; it starts once its outputs are known to differ from its inputs."""
-        cmd.params += [
-            _verbosity("-q", "--quiet", -1, "Print errors alone."),
-            _verbosity("-v", "--verbose", 1, "Print all remarks."),
-        ]
-        if cmd.callback is not None:
-            cmd.callback = guarded(cmd.callback)
-        super().add_command(cmd, name)
-
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands in the order of work, each with its whole summary."""
         for title, commands in GROUPS.items():
             with formatter.section(title):
-                formatter.write_dl([(str(one.name), one.get_short_help_str(limit=200)) for one in commands])
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(limit=200)) for name in commands])
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that was typed."""
@@ -95,13 +100,10 @@ def _verbosity(short: str, long: str, level: int, help_: str) -> click.Option:
 
 @click.group(
     cls=Commands,
+    commands=ByName(),
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog="Example: bodylog fit explore.bag -o body.npz && bodylog estimate run.bag --body body.npz -o run.mcap",
 )
 @click.version_option(__version__, prog_name="bodylog")
 def bodylog() -> None:
     """Where a robot's body was, how sure that is, and which sensor is faulty: from any log (.bag, rosbag2, .mcap)."""
-
-
-for _command in (command for commands in GROUPS.values() for command in commands):
-    bodylog.add_command(_command)

@@ -42,10 +42,11 @@ def _entry(path: str, one: dict[str, Any]) -> dict[str, Any]:
 
 
 def _print(one: dict[str, Any]) -> None:
-    from .body_text import show_body
     from .output import line
 
     if one["format"] == "body":
+        from .body_text import show_body
+
         show_body(one)
         return
     line(f"{one['path']}: {one['format']}, {one['duration_s']:.3f} s from {one['start_ns']} ns")

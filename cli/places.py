@@ -36,10 +36,10 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _outputs(params: list[click.Parameter], given: dict[str, Any]) -> "Iterator[Output]":
-    from bodylog.io.outputs import Output
-
     for param in params:
         if isinstance(param.type, OutputFile | Folder):
+            from bodylog.io.outputs import Output
+
             for path in _each(given[param.name or ""]):
                 folder = isinstance(param.type, Folder) or (isinstance(param.type, OutputLog) and path.is_dir())
                 yield Output(path, param.opts[0], folder)

@@ -48,27 +48,34 @@ def _kind(found: "Declared") -> dict[str, Any]:
     return {"type": float} if found.hint in (float, float | None) else {}
 
 
-clock_option = setting("synchrony", "clock_offset", metavar="auto|S")
-"""--clock-offset; stands above common_options."""
-delay_option = setting("time", "delay", metavar="auto|off|NAME=S")
-"""--delay; stands above common_options."""
-fast_option = setting("colours", "fast")
-ESTIMATION = (
-    setting("estimate", "method"),
-    setting("estimate", "preset"),
-    setting("estimate", "senses", "--with", "senses", metavar="SENSES"),
-    setting("estimate", "without", metavar="SENSES"),
-    setting("estimate", "rate", metavar="HZ"),
-    setting("estimate", "precision"),
-    setting("estimate", "bias"),
-    setting("estimate", "touch"),
-    setting("estimate", "step"),
-)
+def clock_option(function: Command) -> Command:
+    """--clock-offset; stands above common_options."""
+    return setting("synchrony", "clock_offset", metavar="auto|S")(function)
+
+
+def delay_option(function: Command) -> Command:
+    """--delay; stands above common_options."""
+    return setting("time", "delay", metavar="auto|off|NAME=S")(function)
+
+
+def fast_option(function: Command) -> Command:
+    """--fast."""
+    return setting("colours", "fast")(function)
 
 
 def estimation_options(function: Command) -> Command:
     """The options of [estimate]."""
-    for option in reversed(ESTIMATION):
+    for option in (
+        setting("estimate", "step"),
+        setting("estimate", "touch"),
+        setting("estimate", "bias"),
+        setting("estimate", "precision"),
+        setting("estimate", "rate", metavar="HZ"),
+        setting("estimate", "without", metavar="SENSES"),
+        setting("estimate", "senses", "--with", "senses", metavar="SENSES"),
+        setting("estimate", "preset"),
+        setting("estimate", "method"),
+    ):
         function = option(function)
     return function
 

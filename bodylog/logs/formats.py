@@ -14,7 +14,6 @@ from .mcap.records import MAGIC
 from .protocol import Batches, Log, Opener
 from .records import Batch
 from .storage.zstd_files import ZSTD, unpack_file
-from .tables.table_file import kind as table_kind
 
 if TYPE_CHECKING:
     from .decode.columns import Source
@@ -59,7 +58,9 @@ def _opener(path: Path, first: bytes) -> "Opener":
     for magic, opener in FORMATS.items():
         if first.startswith(magic):
             return opener
-    if first and not first.startswith(_LFS) and table_kind(path):
+    from .tables.table_file import kind
+
+    if first and not first.startswith(_LFS) and kind(path):
         return _poses
     known = "logs are .mcap, .bag, .db3 or a rosbag2 folder; datasets; tables of poses .csv, .parquet, .yaml"
     raise LogError(f"{path}: {_describe(first)}; {known}")

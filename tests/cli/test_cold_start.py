@@ -30,3 +30,11 @@ def _heavy(script):
     ask = f"print(*[name for name in {HEAVY!r} if name in sys.modules], file=sys.stderr)"
     command = [sys.executable, "-c", f"{script}\n{ask}"]
     return set(subprocess.run(command, capture_output=True, text=True, check=True, cwd="/").stderr.split())
+
+
+def test_a_command_imports_its_own_module_alone():
+    script = f"{INFO}print(*[name for name in sys.modules if name.startswith('bodylog_cli.')], file=sys.stderr)"
+    command = [sys.executable, "-c", script]
+    found = subprocess.run(command, capture_output=True, text=True, check=True, cwd="/").stderr.split()
+    shared = {f"bodylog_cli.{name}" for name in ("commands", "options", "output", "places", "setting_options")}
+    assert set(found) == shared | {"bodylog_cli.info"}

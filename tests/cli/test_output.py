@@ -130,9 +130,9 @@ def test_help_lists_every_command_once_with_its_whole_summary(capsys, run_cli) -
 
     assert run_cli("--help") == 0
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
-    listed = [command for commands in GROUPS.values() for command in commands]
-    assert {command.name for command in listed} == set(bodylog.commands) and len(listed) == len(bodylog.commands)
-    for command in listed:
+    assert [name for commands in GROUPS.values() for name in commands] == list(bodylog.commands)
+    for name, command in bodylog.commands.items():
+        assert command.name == name
         summary = command.get_short_help_str(limit=200)
         assert len(summary) < 55 and "..." not in summary
         assert any(line.split(maxsplit=1) == [command.name, summary] for line in lines), command.name

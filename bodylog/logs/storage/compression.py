@@ -1,6 +1,5 @@
 """Decompress chunks into one reused buffer: allocating a new one costs more than lz4 itself."""
 
-import bz2
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -122,6 +121,8 @@ def _lz4(packed: memoryview, target: memoryview) -> Iterator[int]:
 
 
 def _bz2(packed: memoryview, target: memoryview) -> Iterator[int]:
+    import bz2
+
     unpacker, at, rest = bz2.BZ2Decompressor(), 0, packed
     while not unpacker.eof:
         piece = unpacker.decompress(rest, max_length=_PIECE)
