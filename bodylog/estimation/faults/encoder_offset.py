@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...types import Array, Fault
-from ..inference.offsets import WALKS
 from ..inference.problem import Problem
 from ..inference.solution import Solution
 from ..measurements.records import Encoders
@@ -17,6 +16,8 @@ GAIN = 20.0
 """Nats of evidence that each further offset must win."""
 MOST = 2000
 """Most instants used for the size of a fault."""
+WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
+"""rad²/s: random-walk variances tried; the last one is a constant offset, as of a joint homed differently."""
 EITHER = " or "
 """Separator between names of joints when the faulty one cannot be identified."""
 SIGMAS, LEAST = 4.0, 0.01

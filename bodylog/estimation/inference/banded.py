@@ -16,32 +16,12 @@ CHUNK = 512
 
 
 @dataclass(frozen=True, eq=False)
-class Fading:
-    """Unit states u' = κ u + √(1 − κ²) w: information before and across (N,B−1), right-hand side before (N,B−1)."""
-
-    before: Array
-    across: Array
-    pull: Array
-
-    @staticmethod
-    def of(kappa: Array, units: Array) -> tuple["Fading", Array, Array]:
-        """For shares κ (N,B−1) about nominal states (N,B); also information and right-hand side of the next knots."""
-        inverse = 1.0 / (1.0 - kappa * kappa)
-        miss = (kappa * units[:, :-1] - units[:, 1:]) * inverse
-        return Fading(kappa * kappa * inverse, -kappa * inverse, -kappa * miss), inverse, miss
-
-
-@dataclass(frozen=True, eq=False)
 class System:
-    """B knots: own information (K,K,B), right-hand side `pull` (K,B), information `ahead` of the intervals after them.
-
-    The first M S states belong to the joints. The other N are unit states, which fade independently by κ (N,B−1).
-    """
+    """B knots: own information (K,K,B), right-hand side `pull` (K,B), information `ahead` of the next intervals."""
 
     own: Array
     pull: Array
     ahead: Information
-    fade: Fading
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -55,23 +35,16 @@ def joints_apart(own: Array, states: int) -> Array:
     return np.asarray(np.einsum("jajbk->abjk", own.reshape(m, states, m, states, knots)))
 
 
-def system(ahead: Information, joints: int, kappa: Array, units: Array) -> System:
-    """The system of motion and encoders; the caller adds images and the prior to `own` and `pull`."""
-    s, knots, first = len(ahead.across), ahead.across.shape[-1] + 1, len(ahead.across) * joints
-    size = first + len(kappa)
-    own, pull = np.zeros((size, size, knots)), np.zeros((size, knots))
-    alone, each = joints_apart(own[:first, :first], s), pull[:first].reshape(joints, s, knots).swapaxes(0, 1)
+def system(ahead: Information, joints: int) -> System:
+    """The system of motion and encoders; the caller adds the prior to `own` and `pull`."""
+    s, knots = len(ahead.across), ahead.across.shape[-1] + 1
+    own, pull = np.zeros((joints * s, joints * s, knots)), np.zeros((joints * s, knots))
+    alone, each = joints_apart(own, s), pull.reshape(joints, s, knots).swapaxes(0, 1)
     alone[..., :-1] += ahead.before
     alone[..., 1:] += ahead.after
     each[..., :-1] += ahead.pull_before
     each[..., 1:] += ahead.pull_after
-    fade, after, pull_after = Fading.of(kappa, units)
-    for row, state in enumerate(range(first, size)):
-        own[state, state, :-1] += fade.before[row]
-        own[state, state, 1:] += after[row]
-    pull[first:, :-1] += fade.pull
-    pull[first:, 1:] += pull_after
-    return System(own, pull, ahead, fade)
+    return System(own, pull, ahead)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +54,6 @@ class Factor:
     system: System
     band: Array
     forward: Array
-
-    @property
-    def logdet(self) -> float:
-        """ln of the determinant of the information."""
-        return 2.0 * float(np.log(self.band[-1]).sum())
 
     def solution(self) -> Array:
         """Means (K,B) given the whole log."""
@@ -98,7 +66,7 @@ class Factor:
         """Means (K,B) and covariances (K,K,B) of the knots given the measurements up to each."""
         k, knots = self.system.pull.shape
         s, m = self.system.shape
-        width, ahead, fade = len(self.band) - 1, self.system.ahead, self.system.fade
+        width, ahead = len(self.band) - 1, self.system.ahead
         upper, forward = self.band.T.reshape(knots, k, width + 1), self.forward.reshape(knots, k)
         mean, cov = np.empty((k, knots)), np.empty((k, k, knots))
         for begin in range(0, knots, CHUNK):
@@ -106,12 +74,9 @@ class Factor:
             schur, pull = _schur(upper[part], forward[part])
             rest = slice(begin, min(begin + CHUNK, knots - 1))
             few = rest.stop - begin
-            joints_apart(schur[: m * s, : m * s], s)[..., :few] -= ahead.before[..., rest]
-            pull[: m * s].reshape(m, s, -1).swapaxes(0, 1)[..., :few] -= ahead.pull_before[..., rest]
-            for row, state in enumerate(range(m * s, k)):
-                schur[state, state, :few] -= fade.before[row, rest]
-            pull[m * s :, :few] -= fade.pull[:, rest]
-            cov[..., part] = spd_inverse(schur)[0]
+            joints_apart(schur, s)[..., :few] -= ahead.before[..., rest]
+            pull.reshape(m, s, -1).swapaxes(0, 1)[..., :few] -= ahead.pull_before[..., rest]
+            cov[..., part] = spd_inverse(schur)
             mean[:, part] = (cov[..., part] * pull[None]).sum(axis=1)
         return mean, cov
 
@@ -144,8 +109,6 @@ def factored(given: System) -> Factor:
         for a in range(s):
             for b in range(s):
                 band[1:, j * s + b, s - 1 - b + a] = given.ahead.across[a, b, j]
-    for row, state in enumerate(range(m * s, k)):
-        band[1:, state, s - 1] = given.fade.across[row]
     found, failed = dpbtrf(band.reshape(knots * k, width + 1).T, lower=0, overwrite_ab=1)
     if failed:
         raise np.linalg.LinAlgError(f"state {failed % k} of knot {failed // k} is not determined")

@@ -32,10 +32,10 @@ def given_past(solved: Solved) -> Instants:
     """Filtered beliefs."""
     forth, knots = solved.forth, solved.log.chain.knots
     m, s = solved.log.chain.motion.joints, solved.log.chain.motion.states
-    k, (mean, cov) = m * s, solved.past
+    mean, cov = solved.past
     states, spread = knots.unfold(forth.state), knots.unfold(forth.cov)
-    states[knots.events] = np.moveaxis(mean[:k, 1:], -1, 0).reshape(-1, m, s)
-    spread[knots.events] = np.moveaxis(cov[:k:s, :k:s, 1:], -1, 0)
+    states[knots.events] = np.moveaxis(mean[:, 1:], -1, 0).reshape(-1, m, s)
+    spread[knots.events] = np.moveaxis(cov[::s, ::s, 1:], -1, 0)
     prior, prior_cov = knots.unfold(forth.prior)[:, :, 0], knots.unfold(forth.prior_cov)
     return Instants(states, spread, prior, prior_cov, *_by_instant(solved))
 
@@ -44,12 +44,11 @@ def given_all(solved: Solved) -> Instants:
     """Smoothed beliefs."""
     chain = solved.log.chain
     m, s, knots = chain.motion.joints, chain.motion.states, chain.knots
-    k, count = m * s, knots.count
     own, across = (
-        np.ascontiguousarray(np.moveaxis(part[:, :k, :k], 0, -1)).reshape(m, s, m, s, -1)
+        np.ascontiguousarray(np.moveaxis(part, 0, -1)).reshape(m, s, m, s, -1)
         for part in marginals(solved.factor.system)
     )
-    path, at = between(chain.motion, chain.slots, solved.bridge), solved.nominal[:k].reshape(m, s, count)
+    path, at = between(chain.motion, chain.slots, solved.bridge), solved.nominal.reshape(m, s, -1)
     states = knots.unfold(smoothed(path, at))
     cov = knots.unfold(smoothed_cov(path, own, across))
     return Instants(states, cov, states[:, :, 0], cov, *_by_instant(solved))
@@ -59,9 +58,6 @@ def _by_instant(solved: Solved) -> tuple[Array, Array, Array, Array]:
     """Nats (E,), encoder innovations, filtered offsets and their variances (E,M) of all instants."""
     forth, log = solved.forth, solved.log
     knots = log.chain.knots
-    nats = knots.unfold(forth.nats)
-    for one, sight in zip(log.images, solved.sights, strict=True):
-        np.add.at(nats, one.events, sight.nats)
-    total = forth.total - log.chain.slots.var + log.slots_var
+    total = forth.total - log.chain.slots.var + log.var
     error = knots.unfold(forth.innovation / np.sqrt(total))
-    return nats, error, knots.unfold(forth.state)[:, :, -1], knots.unfold(forth.offset_var)
+    return knots.unfold(forth.nats), error, knots.unfold(forth.state)[:, :, -1], knots.unfold(forth.offset_var)

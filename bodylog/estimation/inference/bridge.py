@@ -1,7 +1,7 @@
 """Encoder readings between two knots, integrated exactly into information about the states at both knots.
 
-Given the state at a knot, joints are independent until the next image. So one joint's readings form one
-element of Särkkä & García-Fernández (2021): z' = A z + b + noise C, and information η, J about z.
+Joints are independent. So one joint's readings form one element of Särkkä & García-Fernández (2021):
+z' = A z + b + noise C, and information η, J about z.
 """
 
 from dataclasses import dataclass, field
@@ -15,26 +15,20 @@ from .small import outer, product, spd_inverse, transposed_product
 
 @dataclass(frozen=True, eq=False)
 class Slots:
-    """Readings of each interval, slot by slot: dt (L,B) s · encoders, var (L,M,B), NaN if silent · more (L,M,B)."""
+    """Readings of each interval, slot by slot: dt (L,B) s · encoders, var (L,M,B), NaN if silent."""
 
     dt: Array
     encoders: Array
     var: Array
-    more: Array | None = None
 
     def part(self, some: slice) -> "Slots":
         """The slots of some intervals."""
-        more = None if self.more is None else self.more[..., some]
-        return Slots(self.dt[:, some], self.encoders[..., some], self.var[..., some], more)
-
-    def grown(self, motion: MotionModel, slot: int) -> Array:
-        """Process noise (S,S,M,B) up to a slot."""
-        return motion.spread(self.dt[slot], 1.0 if self.more is None else self.more[slot])
+        return Slots(self.dt[:, some], self.encoders[..., some], self.var[..., some])
 
 
 @dataclass(frozen=True, eq=False)
 class Bridge:
-    """Per interval: move A (S,S,M,B), shift b (S,M,B), noise C (S,S,M,B); info J (S,S,M,B), pull η (S,M,B), nats.
+    """Per interval: move A (S,S,M,B), shift b (S,M,B), noise C (S,S,M,B); info J (S,S,M,B), pull η (S,M,B).
 
     prefix: A, b, C before and after each slot's reading, if requested.
     """
@@ -44,7 +38,6 @@ class Bridge:
     noise: Array
     info: Array
     pull: Array
-    nats: Array
     prefix: list[tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]] = field(default_factory=list)
 
 
@@ -53,14 +46,14 @@ def bridge(motion: MotionModel, slots: Slots, remember: bool = False) -> Bridge:
     s, m, b = motion.states, motion.joints, slots.dt.shape[1]
     move, shift, noise = np.zeros((s, s, m, b)), np.zeros((s, m, b)), np.zeros((s, s, m, b))
     np.einsum("ssjb->sjb", move)[:] = 1.0
-    info, pull, nats = np.zeros((s, s, m, b)), np.zeros((s, m, b)), np.zeros((m, b))
+    info, pull = np.zeros((s, s, m, b)), np.zeros((s, m, b))
     prefix = []
-    for slot, (dt, y, var) in enumerate(zip(slots.dt, slots.encoders, slots.var, strict=True)):
+    for dt, y, var in zip(slots.dt, slots.encoders, slots.var, strict=True):
         motion.carry(move, dt)
         motion.carry(shift, dt)
         motion.carry(noise, dt)
         motion.carry(noise.swapaxes(0, 1), dt)
-        noise += slots.grown(motion, slot)
+        noise += motion.spread(dt)
         before = (move.copy(), shift.copy(), noise.copy()) if remember else None
         present = np.isfinite(y)
         if present.any():
@@ -70,14 +63,13 @@ def bridge(motion: MotionModel, slots: Slots, remember: bool = False) -> Bridge:
             nu = np.where(present, y - motion.observe(shift), 0.0)
             info += outer(slope * weight, slope)
             pull += slope * (weight * nu)
-            nats += 0.5 * (nu * nu * weight + np.log(np.where(present, 2.0 * np.pi * total, 1.0)))
             gain = reach * weight
             move -= outer(gain, slope)
             shift += gain * nu
             noise -= outer(gain, reach)
         if before is not None:
             prefix.append((before, (move.copy(), shift.copy(), noise.copy())))
-    return Bridge(move, shift, noise, info, pull, nats, prefix)
+    return Bridge(move, shift, noise, info, pull, prefix)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +81,14 @@ class Information:
     across: Array
     pull_before: Array
     pull_after: Array
-    logdet: float
 
 
 def information(found: Bridge, low: Array, high: Array) -> Information:
     """Information about deviations from nominal states `low` and `high` (S,M,B) at both ends."""
-    inverse, logdet = spd_inverse(found.noise)
+    inverse = spd_inverse(found.noise)
     leant = transposed_product(found.move, inverse)
     miss = found.shift + (found.move * low[None]).sum(axis=1) - high
     pull = found.pull - (found.info * low[None]).sum(axis=1)
     after = (inverse * miss[None]).sum(axis=1)
-    return Information(
-        found.info + product(leant, found.move), inverse, -leant, pull - (leant * miss[None]).sum(axis=1), after,
-        float(logdet.sum()),
-    )  # fmt: skip
+    before = found.info + product(leant, found.move)
+    return Information(before, inverse, -leant, pull - (leant * miss[None]).sum(axis=1), after)

@@ -15,8 +15,7 @@ from .small import product, spd_inverse
 class Forward:
     """Each slot's state (L,M,S,B) and angles' covariance (L,M,M,B), before its readings and after; nats (L,B).
 
-    innovation, total (L,M,B): each encoder's, with its variance, NaN where silent · offset_var (L,M,B): of its offset
-    · end (K,K+1,B): covariance and mean at the next knots, before their images.
+    innovation, total (L,M,B): each encoder's, with its variance, NaN where silent · offset_var (L,M,B): of its offset.
     """
 
     prior: Array
@@ -27,43 +26,36 @@ class Forward:
     innovation: Array
     total: Array
     offset_var: Array
-    end: Array
 
 
-def forward(motion: MotionModel, slots: Slots, mean: Array, cov: Array, kappa: Array) -> Forward:
-    """Filter all intervals from the knots before them: mean (K,B), cov (K,K,B), given the measurements up to there.
-
-    kappa (N,B): share of the last N of K states, the unit states, that is left at the next knots.
-    """
+def forward(motion: MotionModel, slots: Slots, mean: Array, cov: Array) -> Forward:
+    """Filter all intervals from the knots before them: mean (K,B), cov (K,K,B), given the measurements up to there."""
     parts = [
-        _forward(motion, slots.part(some), mean[:, some], cov[..., some], kappa[:, some])
+        _forward(motion, slots.part(some), mean[:, some], cov[..., some])
         for some in (slice(begin, begin + CHUNK) for begin in range(0, mean.shape[1], CHUNK))
     ]
     whole = {one.name: np.concatenate([getattr(part, one.name) for part in parts], axis=-1) for one in fields(Forward)}
     return Forward(**whole)
 
 
-def _forward(motion: MotionModel, slots: Slots, mean: Array, cov: Array, kappa: Array) -> Forward:
+def _forward(motion: MotionModel, slots: Slots, mean: Array, cov: Array) -> Forward:
     """Filter some intervals."""
     (length, m, b), s = slots.encoders.shape, motion.states
     # one array of covariance and, last in each row, mean: P Hᵀ and the predictions H x are one product
     belief, k = np.concatenate([cov, mean[:, None]], axis=1), m * s
-    rows, columns = belief[:k].reshape(m, s, -1, b), belief[:, :k].reshape(len(belief), m, s, b)
-    alone, angles = joints_apart(belief[:k, :k], s), slice(0, k, s)
+    rows, columns = belief.reshape(m, s, -1, b), belief[:, :k].reshape(k, m, s, b)
+    alone, angles = joints_apart(belief[:, :k], s), slice(0, k, s)
     prior, state = np.empty((2, length, m, s, b))
     prior_cov, own = np.empty((2, length, m, m, b))
     nats, (innovation, total, offset_var) = np.zeros((length, b)), np.full((3, length, m, b), np.nan)
     for i, dt in enumerate(slots.dt):
         motion.carry(rows.swapaxes(0, 1), dt)
         motion.carry(np.moveaxis(columns, 2, 0), dt)
-        alone += slots.grown(motion, i)
+        alone += motion.spread(dt)
         prior[i], prior_cov[i] = rows[:, :, -1], belief[angles, angles]
         nats[i], innovation[i], total[i] = condition_encoders(motion, belief, slots.encoders[i], slots.var[i])
         state[i], own[i], offset_var[i] = rows[:, :, -1], belief[angles, angles], alone[-1, -1]
-    belief[k:] *= kappa[:, None]
-    belief[:, k:-1] *= kappa[None]
-    np.einsum("nnb->nb", belief[k:, k:-1])[:] += 1.0 - kappa * kappa
-    return Forward(prior, prior_cov, state, own, nats, innovation, total, offset_var, belief)
+    return Forward(prior, prior_cov, state, own, nats, innovation, total, offset_var)
 
 
 def condition_encoders(motion: MotionModel, belief: Array, y: Array, var: Array) -> tuple[Array, Array, Array]:
@@ -105,29 +97,6 @@ def _condition(motion: MotionModel, belief: Array, joint: int, y: Array, var: Ar
     return np.asarray(0.5 * (left * left * weight + np.log(np.where(spoken, 2.0 * np.pi * total, 1.0))))
 
 
-def predicted(belief: Array, h: Array, index: Array, y: Array, var: Array) -> tuple[Array, Array]:
-    """Innovations (D,F) of rows y (D,F) = h (D,A,F) of states `index` (A,), and covariance, by belief (K,K+1,F)."""
-    few = belief[index][:, [*index, -1]]
-    reach = np.einsum("daf,akf->dkf", h, few)
-    total = np.einsum("daf,eaf->def", h, reach[:, :-1])
-    np.einsum("ddf->df", total)[:] += var
-    return y - reach[:, -1], total
-
-
-def seen(belief: Array, h: Array, index: Array, y: Array, var: Array) -> tuple[Array, Array, Array]:
-    """Condition the belief (K,K+1,F) on rows y (D,F) = h (D,A,F) of the states `index` (A,), of variance var (D,F).
-
-    Returns the belief, the innovations (D,F) and their covariance (D,D,F).
-    """
-    reach = np.einsum("daf,akf->dkf", h, belief[index])
-    total = np.einsum("daf,eaf->def", h, reach[:, index])
-    np.einsum("ddf->df", total)[:] += var
-    left = y - reach[:, -1]
-    reach[:, -1] = -left
-    gain = np.einsum("def,dkf->ekf", spd_inverse(total)[0], reach[:, :-1])
-    return belief - np.einsum("ekf,elf->klf", gain, reach), left, total
-
-
 @dataclass(frozen=True, eq=False)
 class Between:
     """Each slot's states from both ends: low (L,S,S,M,B) z + high z' + shift (L,S,M,B).
@@ -152,7 +121,7 @@ def between(motion: MotionModel, slots: Slots, found: Bridge) -> Between:
         (next_move, next_given, next_noise), _ = found.prefix[i + 1]
         leant = noise.copy()
         motion.carry(leant.swapaxes(0, 1), slots.dt[i + 1])
-        gain = product(leant, spd_inverse(next_noise)[0])
+        gain = product(leant, spd_inverse(next_noise))
         low[i] = move + product(gain, low[i + 1] - next_move)
         high[i] = product(gain, high[i + 1])
         shift[i] = given + (gain * (shift[i + 1] - next_given)[None]).sum(axis=1)

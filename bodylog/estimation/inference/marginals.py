@@ -12,8 +12,6 @@ def marginals(given: System) -> tuple[Array, Array]:
     k, knots = given.pull.shape
     s, m = given.shape
     upper = np.zeros((knots - 1, k, k))
-    for row, state in enumerate(range(m * s, k)):
-        upper[:, state, state] = given.fade.across[row]
     for j in range(m):
         own = slice(j * s, j * s + s)
         upper[:, own, own] = np.moveaxis(given.ahead.across[:, :, j], -1, 0)

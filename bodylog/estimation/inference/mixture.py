@@ -11,12 +11,12 @@ RATE = 1e-3
 """ε: prior probability of an outlier."""
 
 
-def inlier(distance: Array, logdet: Array, rows: int, density: float) -> tuple[Array, Array]:
+def inlier(nu: Array, var: Array, density: float) -> tuple[Array, Array]:
     """Probability of being an inlier, and cost in nats, which equals the Gaussian's for sure inliers.
 
-    distance: νᵀ S⁻¹ ν · logdet: ln|S| · rows: D · density: 1/V of outliers, in the measurement's own units.
+    nu, var: innovations and their variances · density: 1/V of outliers, in the measurement's own unit.
     """
-    gaussian = 0.5 * (distance + logdet + rows * np.log(2.0 * np.pi))
+    gaussian = 0.5 * (nu * nu / var + np.log(var) + np.log(2.0 * np.pi))
     worse = np.log1p(-RATE) - gaussian - np.log(RATE * density)
     # the constant −ln(1 − ε) is left out, so that a sound log costs what a Kalman filter's does
     cost = np.where(worse > 0.0, gaussian - np.log1p(np.exp(-np.abs(worse))), 0.0)

@@ -41,11 +41,11 @@ class MotionModel:
                 a[state] += power * a[state + lag] if lag == 1 else (power / factorial(lag)) * a[state + lag]
                 power = power * dt
 
-    def spread(self, dt: Array, more: Array | float = 1.0) -> Array:
-        """Covariance (S,S,M,B) of the process noise within dt (B,) s, with `more` (M,B) times the process."""
+    def spread(self, dt: Array) -> Array:
+        """Covariance (S,S,M,B) of the process noise within dt (B,) s."""
         s, p = self.states, self.order
         noise = np.zeros((s, s, self.joints, len(dt)))
-        scaled = self.process[:, None] * more
+        scaled = self.process[:, None]
         for i in range(p):
             for j in range(p):
                 power = 2 * p - 1 - i - j

@@ -23,16 +23,15 @@ def transposed_product(a: Array, b: Array) -> Array:
     return product(a.swapaxes(0, 1), b)
 
 
-def spd_inverse(a: Array) -> tuple[Array, Array]:
-    """Inverse (n,n,…) and ln|a| (…) of symmetric positive definite matrices, by the sweep operator (Beaton 1964)."""
-    a, logdet = a.copy(), np.zeros(a.shape[2:])
+def spd_inverse(a: Array) -> Array:
+    """Inverse (n,n,…) of symmetric positive definite matrices, by the sweep operator (Beaton 1964)."""
+    a = a.copy()
     for row in range(len(a)):
         pivot, column = a[row, row].copy(), a[:, row].copy()
         if not (pivot > 0.0).all():
             raise np.linalg.LinAlgError("a matrix is not positive definite")
-        logdet += np.log(pivot)
         scaled = column / pivot
         a -= outer(scaled, column)
         a[row] = a[:, row] = scaled
         a[row, row] = -1.0 / pivot
-    return -a, logdet
+    return np.asarray(-a)

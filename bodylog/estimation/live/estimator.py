@@ -10,11 +10,11 @@ from ...body_model import BodyModel, ForwardModel
 from ...errors import LogError, UsageError
 from ...settings import Estimation
 from ...types import Array, Health
+from ..faults.encoder_offset import WALKS
 from ..inference import scalar_steps
 from ..inference.filter_records import Dynamics
 from ..inference.initial_path import OFFSET_STD
 from ..inference.instant import Motion, hear
-from ..inference.offsets import WALKS
 from ..inference.reacquisition import SILENCE, START_STD, VAGUE, AcquisitionState, forget
 from ..inference.scan import EVEN
 from ..methods.table import METHODS

@@ -1,6 +1,5 @@
 """Encoder noise and process noise of each joint, for white acceleration or jerk, by the evidence of its readings."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import factorial
 
@@ -52,29 +51,21 @@ LEAST = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """encoder (M,) rad² · process (M,) for motion of an order · evidence (nats) of all joints.
-
-    beside (N,): variances of other senses' readings.
-    """
+    """encoder (M,) rad² · process (M,) for motion of an order · evidence (nats) of all joints."""
 
     order: int
     encoder: Array
     process: Array
     evidence: float
-    beside: Array
 
 
-def learn(
-    encoders: Encoders, encoder: Array, process: Array, order: int = 2, beside: Sequence[tuple[Array, Array]] = ()
-) -> Learned:
+def learn(encoders: Encoders, encoder: Array, process: Array, order: int = 2) -> Learned:
     """Learn encoder variances and process densities by evidence; a joint with few readings keeps the given ones.
 
-    Quantised readings are dithered over their step, whose variance is the least. beside: times and readings of other
-    senses, whose noise is learned as well.
+    Quantised readings are dithered over their step, whose variance is the least.
     """
     encoder, process, joints, nats = encoder.copy(), process.copy(), list[int](), 0.0
     series, coarse = list[tuple[Array, Array]](), list[list[float]]()
-    other = np.empty(0)
     for joint, column in enumerate(encoders.values.T):
         known = np.flatnonzero(np.isfinite(column))
         most = MOST * _fellows(encoders.t[known])
@@ -87,17 +78,16 @@ def learn(
             coarse.append(own)
         elif len(known):
             encoder[joint] *= shared_variance(encoders.t[known], column[known])
-    if joints or beside:
-        count, (found, density, won) = len(joints), likeliest([*series, *beside], order)
-        found, other, density, nats = found[:count], found[count:], density[:count], float(won[:count].sum())
     if joints:
+        found, density, won = likeliest(series, order)
+        nats = float(won.sum())
         added, least = np.transpose(coarse)
         encoder[joints] = np.maximum(found - added, least)
         noise = np.maximum(found, encoder[joints])
         if order == 2:
             density = np.array([_followed(*one) for one in zip(series, noise, density, strict=True)])
         process[joints] = density
-    return Learned(order, encoder, process, nats, other)
+    return Learned(order, encoder, process, nats)
 
 
 def _followed(series: tuple[Array, Array], noise: float, process: float) -> float:
