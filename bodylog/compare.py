@@ -68,9 +68,7 @@ def compare(
     return rows, (*read.findings, *features.findings, *cameras, *_labelled(rows, refused))
 
 
-def _asked(
-    settings: Settings, subsets: Sequence[tuple[str, ...]], silent: tuple[str, ...]
-) -> Iterator[Settings]:
+def _asked(settings: Settings, subsets: Sequence[tuple[str, ...]], silent: tuple[str, ...]) -> Iterator[Settings]:
     """Every method with every subset of the senses that it can use, as settings."""
     from .estimation import METHODS
     from .estimation.methods import choices

@@ -252,9 +252,7 @@ def _caption(row: Mapping[str, Any]) -> str:
     return f"{text}; the arm's: {row['line']}" if row["arm"] else f"{text}; {also}"
 
 
-def _figures(
-    folder: Path, read: Recording, features: Features, found: Estimate, shown: "Sequence[Picture]"
-) -> None:
+def _figures(folder: Path, read: Recording, features: Features, found: Estimate, shown: "Sequence[Picture]") -> None:
     from .report.figures import figures, reprojection
     from .report.viewers import image_overlay
 

@@ -23,11 +23,7 @@ SCENARIO is one of {", ".join(choices.VARIANTS)}.
 @out_option("The log to write (.mcap).")
 @click.option("--seed", type=int, default=0, show_default=True, help="Same seed, same bytes.")
 @click.option(
-    "--duration",
-    type=click.FloatRange(0, min_open=True),
-    callback=finite,
-    metavar="S",
-    help="Default: the scenario's.",
+    "--duration", type=click.FloatRange(0, min_open=True), callback=finite, metavar="S", help="Default: the scenario's."
 )
 @click.option("--image", type=Choice(choices.IMAGES), default="jpeg", show_default=True)
 @click.option("--size", metavar="WxH", default="640x480", show_default=True, help="Picture size.")

@@ -9,12 +9,7 @@ from typing import Any
 from ..errors import LogError
 from ..io.values import read_json
 from ..logs.mcap.prefix import NAME
-from ..types import (
-    Capabilities,
-    Estimate,
-    Finding,
-    Health,
-)  # fmt: skip
+from ..types import Capabilities, Estimate, Finding, Health
 
 
 def describe(estimate: Estimate) -> dict[str, str]:

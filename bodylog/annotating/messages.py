@@ -131,11 +131,7 @@ def _named(topic: str, kind: str, series: Series, data: Array, start_ns: int) ->
 def _vector(
     topic: str, series: Series, names: Sequence[str], data: Array, start_ns: int, frame: str, kind: str = "Vector"
 ) -> Outgoing:
-    fields: list[CdrField] = [
-        *cdr.header(stamps(series.t, start_ns), frame),
-        ("string[]", names),
-        ("float64[]", data),
-    ]
+    fields: list[CdrField] = [*cdr.header(stamps(series.t, start_ns), frame), ("string[]", names), ("float64[]", data)]
     return _plain(topic, f"bodylog_msgs/msg/{kind}", series.source_ns, fields)
 
 

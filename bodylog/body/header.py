@@ -19,13 +19,7 @@ _KIND = "bodylog body model"
 _WIDEST = 1 << 20
 KINDS: dict[type, str] = {GP: "gp", Polynomial: "polynomial", KinematicGP: "kinematic"}
 """Names of the classes of senses that can be saved."""
-_UNITS = {
-    "joints": "rad",
-    "encoder": "rad^2",
-    "process": "rad^2/s^3",
-    "b1": "1/px^2",
-    "cells": "px",
-}
+_UNITS = {"joints": "rad", "encoder": "rad^2", "process": "rad^2/s^3", "b1": "1/px^2", "cells": "px"}
 _UNUSED = {"b2": "1/s^2"}
 """Older bodies have it, with a2 and b2 among their touch constants, which nothing used."""
 LEAST, LARGEST = 1e-30, 1e30

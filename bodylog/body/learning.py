@@ -126,9 +126,7 @@ def _dropped(
         yield from track.findings(name, found)
 
 
-def _posed(
-    learned: Noise, senses: Mapping[str, track.Sense], count: int
-) -> tuple[Noise, dict[str, Any]]:
+def _posed(learned: Noise, senses: Mapping[str, track.Sense], count: int) -> tuple[Noise, dict[str, Any]]:
     """Encoder noise from still poses, and its std (rad) for the provenance."""
     found = pose_errors.learned(senses, count)
     if found is None:

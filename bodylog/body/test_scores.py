@@ -15,9 +15,7 @@ COVERED = 2.0
 """Standard deviations within which 95 % of sightings should lie."""
 
 
-def score(
-    model: BodyModel, features: Sequence[Features]
-) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
+def score(model: BodyModel, features: Sequence[Features]) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
     """Scores test_…/TRACK of all logs together, and of a board's tracks together; remarks on tracks not scored.
 
     Angles are the encoders', smoothed along a motion. EvidenceError where no log shows a track of the body's,

@@ -167,4 +167,3 @@ def _times(times: list[str], start_ns: int) -> Array:
     if unit == 1.0 and all(one.lstrip("-").isdigit() for one in times):
         return np.array([(int(one) - start_ns) / 1e9 for one in times])
     return np.array([float(one) * unit / 1e9 - start_ns / 1e9 for one in times])
-

@@ -63,10 +63,7 @@ def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
         figures |= {named(key, name): value for name, value in _figures(found[key]).items()}
         figures[named(key, "slow")] = lags[FAST][key] / lags[SLOW][key]
     own_figures, beliefs = _ours(lab, seed, logs.observed(tried.decide[0]))
-    return {
-        "figures": figures | own_figures,
-        "panels": _panels(found[tried.keys[0]], beliefs),
-    }
+    return {"figures": figures | own_figures, "panels": _panels(found[tried.keys[0]], beliefs)}
 
 
 def _cases(known: Explored, reading: Reading, sensed: Signals, senses: Sequence[str]) -> dict[str, Case]:

@@ -106,5 +106,3 @@ def panel(
     drawn = {name: [round(float(v), 6) for v in np.asarray(line)[rows]] for name, line in lines.items()}
     shown = [round(float(v), 4) for v in np.asarray(t)[rows]]
     return {"title": title, "unit": unit, "axis": axis, "figure": figure, "t": shown, "lines": drawn}
-
-

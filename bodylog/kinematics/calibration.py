@@ -30,7 +30,6 @@ class Sighted:
     image: Array
     variance: Array
 
-
     @property
     def seen(self) -> Array:
         """Which points were seen (N,C)."""

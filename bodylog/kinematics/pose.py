@@ -106,4 +106,3 @@ def _thing(base: Base, rig: Rig, theta: Array) -> Array:
         pose = pose.copy()
         pose[:3, :3] = base.tool[:3, :3]
     return pose
-

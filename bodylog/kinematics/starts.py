@@ -85,9 +85,7 @@ def resection(points: Array, rays: Array) -> Array | None:
         return None
     near = np.column_stack([(points - centre) / size, np.ones(len(points))])
     zero = np.zeros_like(near)
-    rows = np.concatenate(
-        [np.hstack([near, zero, -rays[:, :1] * near]), np.hstack([zero, near, -rays[:, 1:] * near])]
-    )
+    rows = np.concatenate([np.hstack([near, zero, -rays[:, :1] * near]), np.hstack([zero, near, -rays[:, 1:] * near])])
     for _ in range(5):  # downweight rows of false sightings
         values, vectors = np.linalg.eigh(rows.T @ rows)
         matrix = vectors[:, 0].reshape(3, 4)
@@ -150,9 +148,7 @@ def planar(points: Array, rays: Array) -> Array | None:
     flat = (corners - centre) @ axes.T
     near = np.column_stack([flat[:, :2], np.ones(len(flat))])
     zero = np.zeros_like(near)
-    rows = np.concatenate(
-        [np.hstack([near, zero, -rays[:, :1] * near]), np.hstack([zero, near, -rays[:, 1:] * near])]
-    )
+    rows = np.concatenate([np.hstack([near, zero, -rays[:, :1] * near]), np.hstack([zero, near, -rays[:, 1:] * near])])
     columns = np.linalg.svd(rows)[2][-1].reshape(3, 3)
     columns /= np.linalg.norm(columns[:, :2], axis=0).mean() * (np.sign(columns[2, 2]) or 1.0)
     rotation = nearest(np.column_stack([columns[:, 0], columns[:, 1], np.cross(columns[:, 0], columns[:, 1])]))

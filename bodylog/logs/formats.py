@@ -158,10 +158,5 @@ def _rosbag2(path: Path, strict: bool, limits: Input) -> Log:
     return Rosbag2Log(path, strict, limits, open_log)
 
 
-FORMATS: Mapping[bytes, Opener] = {
-    MAGIC: _mcap,
-    b"#ROSBAG V2.0": _bag,
-    b"SQLite format 3\x00": _db3,
-    b"PAR1": _poses,
-}
+FORMATS: Mapping[bytes, Opener] = {MAGIC: _mcap, b"#ROSBAG V2.0": _bag, b"SQLite format 3\x00": _db3, b"PAR1": _poses}
 """First bytes of a file -> function that opens it."""

@@ -147,9 +147,7 @@ def _one(matches: Array, ends: tuple[str, ...]) -> Array | None:
     return np.where(sound[:, None], place, np.nan)
 
 
-def tracks(
-    log: Log, settings: Settings, start_ns: int, late_ns: int
-) -> Iterator[tuple[str, Read]]:
+def tracks(log: Log, settings: Settings, start_ns: int, late_ns: int) -> Iterator[tuple[str, Read]]:
     """Every feature of [features] from a topic."""
     for name, source in settings.features.items():
         if isinstance(source, TopicSource):

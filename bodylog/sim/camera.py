@@ -104,9 +104,7 @@ def _window(camera: Camera, place: Array, radius: float) -> tuple[tuple[slice, s
     return (slice(low[1], high[1]), slice(low[0], high[0])), float(area)
 
 
-def _shade(
-    camera: Camera, place: Array, radius: float, rows: slice, columns: slice
-) -> tuple[Array, Array, Array]:
+def _shade(camera: Camera, place: Array, radius: float, rows: slice, columns: slice) -> tuple[Array, Array, Array]:
     """Per pixel: covered share, depth of the surface (m), brightness."""
     u, v = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
     ray = np.stack([(u - camera.centre[0]) / camera.focal, (v - camera.centre[1]) / camera.focal, np.ones(u.shape)], -1)

@@ -20,7 +20,6 @@ _CHUNK = 64
 _NEGLIGIBLE = 1e-4
 
 
-
 @dataclass(frozen=True, eq=False)
 class Chain:
     """A signal on time nodes: t (K,) s · gap (K-1,) in `unit` s · count (K,) readings of a node, total (K,) rad.

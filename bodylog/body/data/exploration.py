@@ -17,9 +17,7 @@ SAMPLES, FEWEST = 200, 8
 """Sightings that suffice to see whether a joint moves a track, and the fewest that are judged."""
 
 
-def select_joints(
-    features: Sequence[Features], chosen: Sequence[Joint], fit: Fit
-) -> tuple[list[Joint], list[Finding]]:
+def select_joints(features: Sequence[Features], chosen: Sequence[Joint], fit: Fit) -> tuple[list[Joint], list[Finding]]:
     """Drop joints of further topics that move no track by more than the model's residual.
 
     A gripper's fingers on a topic of their own, for example, do not move the arm's marker.

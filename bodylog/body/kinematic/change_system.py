@@ -180,9 +180,7 @@ def _noise(track: Track, kept: Array, slope: Array, output: int, like: Array) ->
     return np.asarray(cov)
 
 
-def _track(
-    problem: Problem, track: Track, unknowns: Array, kept: Array
-) -> tuple[Array, Array, Array, Array, Array]:
+def _track(problem: Problem, track: Track, unknowns: Array, kept: Array) -> tuple[Array, Array, Array, Array, Array]:
     """About u (P,): residuals (n,2) px, derivatives by u (n,2,P) and z (n,2,p), slopes (n,2,M), and angles x (n,M)."""
     model, part = track.model, track.part
     t = part.t[kept]

@@ -128,9 +128,7 @@ def learned(
         if off is not None and off.wrong:
             return unused(found, off.text)
     both = together(rig, theta, parts)
-    gains = {
-        name: gain(rig, k, both, name, one, plain, found.joints) for k, (name, one) in enumerate(shown.items())
-    }
+    gains = {name: gain(rig, k, both, name, one, plain, found.joints) for k, (name, one) in enumerate(shown.items())}
     worst = min(gains, key=lambda name: gains[name])
     if gains[worst] < 0.0:
         return unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")

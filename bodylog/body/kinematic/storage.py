@@ -41,9 +41,7 @@ def arrays(model: KinematicGP) -> dict[str, Array]:
     rig, sight = model.rig, model.rig.sights[0]
     chain, base = sight.chain, model.base
     carried = (
-        {}
-        if base is None
-        else {"base": base.chain.fixed, "base_steps": _steps(base.chain), "base_tool": base.tool}
+        {} if base is None else {"base": base.chain.fixed, "base_steps": _steps(base.chain), "base_tool": base.tool}
     )
     return carried | {
         "chain": chain.fixed,

@@ -76,9 +76,7 @@ def _rows(poses: Poses, at: Solved, whole: Array) -> _Rows:
     return _Rows(np.where(seen, nu, 0.0)[whole], at.jac[whole], var[whole])
 
 
-def _chosen(
-    rows: _Rows, known: Array, names: tuple[str, ...], noise: bool, bias: str, begin: list[Array]
-) -> Encoding:
+def _chosen(rows: _Rows, known: Array, names: tuple[str, ...], noise: bool, bias: str, begin: list[Array]) -> Encoding:
     """Noise and offsets of greatest evidence; with `auto`, one offset after the other while each wins NATS.
 
     The search for the noise starts at each of `begin`. Offsets are tried that win evidence at the present noise.
@@ -131,8 +129,7 @@ def _best(rows: _Rows, known: Array, free: Array, noise: bool, begin: list[Array
 
 
 def _evidence(log_var: Array, rows: _Rows, free: Array) -> tuple[float, Array]:
-    """ln density (nats) of all ν, offsets integrated out, and its gradient in ln of the encoders' variances (M,).
-    """
+    """ln density (nats) of all ν, offsets integrated out, and its gradient in ln of the encoders' variances (M,)."""
     variance = np.exp(log_var)
     inner = _inner(rows, variance)
     a, w, constant = inner

@@ -74,9 +74,7 @@ def _covariance(found: Encoding, at: Solved, body: BodyModel) -> Array:
     return np.asarray(at.cov + np.diag(common) + np.einsum("pij,j,pkj->pik", lean, found.offset_var, lean))
 
 
-def _predictions(
-    poses: Poses, at: Solved, sighting: Sighting, columns: slice
-) -> tuple[Series, Series, Array]:
+def _predictions(poses: Poses, at: Solved, sighting: Sighting, columns: slice) -> tuple[Series, Series, Array]:
     """A track's leave-one-out errors, predicted positions and their covariance (P,2,2) at each pose.
 
     With H = J P Jᵀ, R the noise and r the residual, the one left out has the residual R (R − H)⁻¹ r, of covariance R (R

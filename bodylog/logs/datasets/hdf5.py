@@ -187,9 +187,7 @@ def _chunk_bytes(one: Any) -> int:
     return int(np.prod(one.chunks or (1,), dtype=float) * one.dtype.itemsize) if one.chunks else 0
 
 
-def _camera(
-    path: Path, found: Sets, name: str, ns: Array, findings: list[Finding], limits: Input
-) -> Iterator[Camera]:
+def _camera(path: Path, found: Sets, name: str, ns: Array, findings: list[Finding], limits: Input) -> Iterator[Camera]:
     one, short = found.sets[name], re.sub(r"^.*?(images?)/", "", name)
     topic = f"/{escape(re.sub(r'^(obs|observations)/', '', short).removesuffix('_image'))}"
     metadata = {FEATURE: f"observation.images.{topic[1:].replace('/', '.')}"}

@@ -121,9 +121,7 @@ def _stamps(stamps: Mapping[str, Array | None], name: str, ns: Array) -> Array:
     return ns if own is None else times(own)
 
 
-def _signal(
-    name: str, known: Layout, values: Array | None, ns: Array, findings: list[Finding]
-) -> Iterator[Signal]:
+def _signal(name: str, known: Layout, values: Array | None, ns: Array, findings: list[Finding]) -> Iterator[Signal]:
     about = known.features[name]
     if values is None or not values.shape[1]:
         findings.append(Finding("lost", f"{name}: info.json declares it, the table holds no such numbers"))

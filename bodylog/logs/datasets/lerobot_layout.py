@@ -104,7 +104,6 @@ class Layout:
         return self.folder / path
 
 
-
 def layout(folder: Path) -> Layout:
     """The layout of a dataset; FormatError or LogError for broken meta files."""
     info = (folder / INFO).stat()

@@ -26,10 +26,7 @@ PACKETS = (
     ' beside the log: [topics] camera = "file.mp4"'
 )
 _RAW_FIELDS = ("height", "width", "encoding", "step", "data")
-_FIELDS = {
-    **dict.fromkeys(COMPRESSED, ("format", "data")),
-    "sensor_msgs/msg/Image": (*_RAW_FIELDS, "is_bigendian"),
-}
+_FIELDS = {**dict.fromkeys(COMPRESSED, ("format", "data")), "sensor_msgs/msg/Image": (*_RAW_FIELDS, "is_bigendian")}
 
 
 FIELDS = frozenset(_RAW_FIELDS)

@@ -9,19 +9,7 @@ from ..records import Array
 from ..storage.compression import NAMES
 from ..storage.mmapped import drop_pages, is_zero
 from .chunks import CHUNK_HEAD, MESSAGE_HEAD, chunk_head, following, heads_of
-from .records import (
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    DATA_END,
-    FIELDS,
-    FOOTER,
-    HEAD,
-    MESSAGE,
-    MESSAGE_INDEX,
-    SCHEMA,
-    parse,
-)
+from .records import CHANNEL, CHUNK, CHUNK_INDEX, DATA_END, FIELDS, FOOTER, HEAD, MESSAGE, MESSAGE_INDEX, SCHEMA, parse
 
 _WINDOW = 1 << 20
 _AHEAD = 64 << 20

@@ -11,19 +11,7 @@ from ..records import Array
 from ..storage.compression import STORED, Buffer
 from ..storage.mmapped import drop_pages, ensure_local
 from .chunks import Chunk, LooseRecords, chunk_head, heads_at, index_of, load, messages, unpack
-from .records import (
-    CHANNEL,
-    CHUNK,
-    DATA_END,
-    FOOTER,
-    HEAD,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_INDEX,
-    SCHEMA,
-    iter_records,
-    parse,
-)
+from .records import CHANNEL, CHUNK, DATA_END, FOOTER, HEAD, MAGIC, MESSAGE, MESSAGE_INDEX, SCHEMA, iter_records, parse
 from .resync import sound_records
 from .summary import Summary, summary_of, use_statistics
 from .survey import Survey

@@ -26,10 +26,7 @@ Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
 
 
 def searcher(
-    colours: Mapping[str, Colour],
-    progress: Callable[[int], None] | None,
-    fast: bool,
-    trackers: Sequence[Tracker] = (),
+    colours: Mapping[str, Colour], progress: Callable[[int], None] | None, fast: bool, trackers: Sequence[Tracker] = ()
 ) -> FrameSearcher:
     """A consumer of images; `progress` gets the number of further ones done, `fast` searches them at half scale.
 
@@ -69,10 +66,7 @@ def track(
 
 
 def tracks(
-    seen: Seen,
-    frames: Callable[[], Iterator[Frame]],
-    colours: Mapping[str, Colour],
-    joints: Series | None = None,
+    seen: Seen, frames: Callable[[], Iterator[Frame]], colours: Mapping[str, Colour], joints: Series | None = None
 ) -> Tracks:
     """One Series (u, v in px with std; NaN where not seen) per named colour, its Health, and findings.
 
@@ -161,6 +155,6 @@ def _unseen(name: str, colour: Colour, count: int, instead: Mapping[str, float],
     shares = {other: share for other, share in instead.items() if share >= _NOTABLE}
     others = ", ".join(f"{other} ({share:.2%} of the pixels)" for other, share in shares.items())
     free = next((other for other in shares if other not in taken), None)
-    hint = f"; type: [colours] {name.rpartition('/')[2]} = \"{free}\"" if free else ""
+    hint = f'; type: [colours] {name.rpartition("/")[2]} = "{free}"' if free else ""
     severity = "info" if name == "hand" else "warning"
     return Finding(severity, f"{name}: {wanted} was never found in {count} pictures; seen: {others or 'none'}{hint}")

@@ -20,9 +20,7 @@ _FARTHEST = 0.02
 _COLOURED = 0.7
 
 
-def settle(
-    found: Array, choice: Choice, frames: Callable[[], Iterator[Frame]], colour: Range, width: float
-) -> Array:
+def settle(found: Array, choice: Choice, frames: Callable[[], Iterator[Frame]], colour: Range, width: float) -> Array:
     """The arm's blob in each image, (N,1,FIELDS) px, NaN for none: by its outline where no blob of its own was found.
 
     `found` (N,candidates,FIELDS) are the candidates.

@@ -17,9 +17,7 @@ def find(gray: Array, shortest: float) -> Array:
 
     if min(gray.shape) < 2 * _DARKER:
         return np.empty((0, 4, 2))
-    dark = cv2.adaptiveThreshold(
-        gray, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, _WINDOW, _DARKER
-    )
+    dark = cv2.adaptiveThreshold(gray, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, _WINDOW, _DARKER)
     found = []
     for outline in cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]:
         if len(outline) < 3 * shortest:

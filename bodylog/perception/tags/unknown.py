@@ -53,4 +53,3 @@ def _in_one(image: Array, dictionaries: Sequence[str]) -> dict[str, search.Tags]
         found[name] = tags.chosen(np.flatnonzero(far & (tags.score >= _CLEAR)))
         taken = np.concatenate([taken, found[name].centres])
     return found
-

@@ -115,9 +115,7 @@ def _colour(one: Range, found: Array, t: Array, recording: Recording, width: flo
     return _candidate(colour_proposals.name(one), COLOUR, source, track, q, width, why)
 
 
-def _candidate(
-    name: str, kind: str, source: Source, track: Array, q: Array, width: float, why: str = ""
-) -> Candidate:
+def _candidate(name: str, kind: str, source: Source, track: Array, q: Array, width: float, why: str = "") -> Candidate:
     there = np.flatnonzero(np.isfinite(track[:, 0]))
     strays = float(np.hypot(*track[there].std(axis=0))) if there.size else 0.0
     share = joint_motion.explained_share(q[there], track[there], width) if there.size else 0.0

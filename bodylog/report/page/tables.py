@@ -51,10 +51,7 @@ def score_table(scores: Sequence[Score]) -> str:
 
 def faults(estimate: Estimate) -> str:
     """The table of sensor faults: sense, name, kind, start, size."""
-    rows = [
-        (x.sense, x.name, x.kind, Moment(x.since, x.since), _amount(x))
-        for x in estimate.faults
-    ]
+    rows = [(x.sense, x.name, x.kind, Moment(x.since, x.since), _amount(x)) for x in estimate.faults]
     return table("Sensor faults", ("sense", "name", "kind", "since", "size"), rows)
 
 
