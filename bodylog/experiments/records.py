@@ -1,6 +1,6 @@
 """Records of an experiment, of one seed's result, and access to figures over all seeds."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -88,11 +88,6 @@ def column(trials: Sequence[Trial], name: str) -> tuple[float, ...]:
     """One figure of every seed; JSON's null is NaN."""
     found = (trial["figures"][name] for trial in trials)
     return tuple(float("nan") if value is None else float(value) for value in found)
-
-
-def medians(trials: Sequence[Trial], name: str, tried: Iterable[float]) -> dict[float, float]:
-    """{number: median over the seeds of the figure `name`, whose {} is that number}."""
-    return {value: float(np.nanmedian(column(trials, name.format(f"{value:g}")))) for value in tried}
 
 
 def panel(

@@ -1,14 +1,17 @@
 """The 154 MCAP conformance files: records equal the .json beside each, and every message is read."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from isal.isal_zlib import crc32
 
 from bodylog.logs.formats import open_log, payloads
-from bodylog.logs.mcap.chunks import every_record
-from bodylog.logs.mcap.records import CHUNK, MESSAGE_INDEX, Record
+from bodylog.logs.mcap.chunks import chunk_head
+from bodylog.logs.mcap.records import CHUNK, FIELDS, HEAD, MAGIC, MESSAGE_INDEX, Record, iter_records, parse
+from bodylog.logs.storage.compression import Buffer
 
 FOLDER = Path(__file__).parents[2].parent / "shared" / "logs" / "foxglove__mcap"
 FILES = sorted(FOLDER.rglob("*.mcap"))
@@ -31,6 +34,20 @@ def as_json(record: Record) -> dict[str, Any]:
 def expected(path: Path) -> list[dict[str, Any]]:
     records = json.loads(path.with_suffix(".json").read_text())["records"]
     return [{"type": record["type"], "fields": sorted(record["fields"])} for record in records]
+
+
+def every_record(data: memoryview) -> Iterator[Record]:
+    """All records of a file, those of chunks in place of the chunk."""
+    buffer = Buffer()
+    for opcode, at, length in iter_records(data, len(MAGIC), len(data) - len(MAGIC)):
+        if opcode == CHUNK:
+            _, _, size, crc, compression, packed = chunk_head(data, at - HEAD.size)
+            content = buffer.load(compression, packed, size).data
+            assert not crc or crc32(content) == crc
+            for inner, start, length in iter_records(content, 0, len(content)):
+                yield parse(inner, content[start : start + length], start - HEAD.size)
+        elif opcode in FIELDS:
+            yield parse(opcode, data[at : at + length], at - HEAD.size)
 
 
 def test_conformance_files_are_complete() -> None:

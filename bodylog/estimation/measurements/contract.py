@@ -1,6 +1,5 @@
 """The interface of a sense: one file that lists its measurements and reads them."""
 
-from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 from ...body_model import BodyModel
@@ -27,6 +26,3 @@ class Sense(Protocol):
 
     def read(self, name: str, features: Features, body: BodyModel, whole: bool) -> Measured:
         """Read the measurements of one name; `whole`: those of one event count as one."""
-
-
-Senses = Mapping[str, Sense]

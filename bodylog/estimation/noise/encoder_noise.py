@@ -105,11 +105,10 @@ def followable(encoders: Encoders, encoder: Array, process: Array) -> Array:
     return process
 
 
-def floor(encoders: Encoders, encoder: Array) -> Array:
-    """Least acceleration density (M,) rad²/s³, which bounds a filter's memory by MEMORY."""
-    step = float(np.median(np.diff(encoders.t))) if len(encoders.t) > 1 else 0.0
-    # the filter's memory is (R·dt/q)^(1/4)
-    return np.asarray(encoder * step / MEMORY**4)
+def floor(t: Array, encoder: Array, order: int) -> Array:
+    """Least density (M,), which bounds a filter's memory, (R Δt / q)^(1/2p), by MEMORY; p is the motion's order."""
+    step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    return np.asarray(encoder * step / MEMORY ** (2 * order))
 
 
 def likeliest(series: list[tuple[Array, Array]], order: int = 2) -> tuple[Array, Array, Array]:

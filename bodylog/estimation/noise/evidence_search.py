@@ -133,7 +133,7 @@ def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
 def _floor(part: Problem) -> Array:
     """Least process variances (M,)."""
     encoders = part.evidence.encoders
-    return np.zeros(len(part.start)) if encoders is None else floor(encoders, part.precision.encoder)
+    return np.zeros(len(part.start)) if encoders is None else floor(encoders.t, part.precision.encoder, 2)
 
 
 def _step(nats: Array, half: float) -> Array:

@@ -54,7 +54,7 @@ class NoiseModel:
         Under white acceleration a quarter of a steady variance is motion, which is stated only as far as there is any.
         `white`: share of the variance from encoders, whose errors are independent.
         """
-        process = np.maximum(evident, encoder_noise.floor(encoders, self.encoder))
+        process = np.maximum(evident, encoder_noise.floor(encoders.t, self.encoder, 2))
         stated = 1.0 - MOTION * white * (1.0 - np.minimum(evident / process, 1.0))
         return replace(self, process=process, stated=stated, evident=evident)
 

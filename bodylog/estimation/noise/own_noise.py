@@ -6,10 +6,7 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Encoders
-from .encoder_noise import FEWEST, Learned, learn
-
-MEMORY = 1.0
-"""s: longest memory of a filter for a joint at rest."""
+from .encoder_noise import FEWEST, Learned, floor, learn
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +32,3 @@ def own_noise(encoders: Encoders, white: Learned, encoder: Array) -> OwnNoise:
         return OwnNoise(white, None)
     smooth = learn(encoders, encoder, np.zeros(len(counts)), 3)
     return OwnNoise(white, replace(smooth, process=np.maximum(smooth.process, floor(encoders.t, smooth.encoder, 3))))
-
-
-def floor(t: Array, encoder: Array, order: int) -> Array:
-    """Least density (M,), which bounds a filter's memory, (R Δt / q)^(1/2p), by MEMORY."""
-    step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
-    return np.asarray(encoder * step / MEMORY ** (2 * order))

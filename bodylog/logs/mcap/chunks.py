@@ -13,7 +13,7 @@ from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import Buffer
 from ..storage.mmapped import ensure_local
-from .records import CHUNK, FIELDS, HEAD, MAGIC, MESSAGE, MESSAGE_INDEX, Record, iter_records, parse
+from .records import CHUNK, HEAD, MESSAGE, MESSAGE_INDEX, iter_records
 
 MESSAGE_HEAD = np.dtype(
     [("opcode", "u1"), ("size", "<i8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
@@ -257,18 +257,3 @@ def _one_after_another(data: memoryview, at: int, end: int) -> tuple[Array, int]
     found = np.array(starts, np.int64)
     short = np.flatnonzero(np.diff(found, append=at) < _SHORTEST)
     return (found[: short[0]], int(found[short[0]])) if len(short) else (found, at)
-
-
-def every_record(data: memoryview) -> Iterator[Record]:
-    """All records of an undamaged file, those of chunks in place of the chunk; FormatError at the first damage."""
-    buffer = Buffer()
-    for opcode, at, length in iter_records(data, len(MAGIC), len(data) - len(MAGIC)):
-        if opcode == CHUNK:
-            _, _, size, crc, compression, packed = chunk_head(data, at - HEAD.size)
-            content = buffer.load(compression, packed, size).data
-            if crc and crc32(content) != crc:
-                raise FormatError(f"byte {at - HEAD.size}: the chunk's CRC is wrong")
-            for inner, start, size in iter_records(content, 0, len(content)):
-                yield parse(inner, content[start : start + size], start - HEAD.size)
-        elif opcode in FIELDS:
-            yield parse(opcode, data[at : at + length], at - HEAD.size)
