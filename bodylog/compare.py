@@ -10,7 +10,7 @@ from .checks import log_context, loss_note, same_camera, same_size
 from .default_features import of_body
 from .errors import EvidenceError, InputError, UsageError
 from .fault_findings import fault_warnings
-from .observed import Progress
+from .logs.protocol import Progress
 from .pipeline import infer, observe
 from .scoring import score_estimate
 from .settings import Settings

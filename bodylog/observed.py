@@ -1,13 +1,10 @@
 """Features of a recording: tracks, touches and poses found in it, or stored in it by an earlier run."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
+from .logs.protocol import Progress
 from .settings import Settings, wanted
 from .types import Features, Finding, Recording
-
-Progress = Callable[[int], None]
-"""Called with the number of further images done."""
 
 
 def moving(read: Recording, settings: Settings, progress: Progress | None) -> Features:

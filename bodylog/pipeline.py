@@ -24,7 +24,8 @@ from .io.atomic_files import sha256
 from .io.outputs import Output
 from .joints_only import joints_alone, without_body
 from .logs.limits import LIMITS, Input
-from .observed import Progress, moving, still_poses
+from .logs.protocol import Progress
+from .observed import moving, still_poses
 from .result import Result as Result
 from .result import estimate_result
 from .scoring import against, score_estimate, with_true_poses
@@ -219,8 +220,9 @@ def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result
 
 
 def ingest(
-    log: Path, out: Path, settings: Settings, tables: Mapping[str, Path] | None = None, **window: float | None
-) -> Result:
+    log: Path, out: Path, settings: Settings, tables: Mapping[str, Path] | None = None,
+    progress: Progress | None = None, **window: float | None,
+) -> Result:  # fmt: skip
     """Write any log as one tidy MCAP with its roles named; `tables`: folders for its signals by form (csv, parquet)."""
     from .recording import recording, tidy
     from .recording import tables as export
@@ -229,7 +231,7 @@ def ingest(
     distinct([log], [Output(out), *(Output(folder, f"--{form}", True) for form, folder in tables.items())], settings)
     for form in tables:
         export.saver(form)  # refused before the log is read
-    findings = tuple(tidy.ingest(log, out, settings, **window))
+    findings = tuple(tidy.ingest(log, out, settings, progress=progress, **window))
     for form, folder in tables.items():
         export.export(recording.read(out, Settings()), folder, form)
     return Result(out, findings=findings)
@@ -237,7 +239,8 @@ def ingest(
 
 def convert(
     logs: Sequence[Path], out: Path, settings: Settings, form: str = "mcap", how: str = "lossless",
-    topics: Sequence[str] | None = None, task: str | None = None, **window: float | None,
+    topics: Sequence[str] | None = None, task: str | None = None, progress: Progress | None = None,
+    **window: float | None,
 ) -> Result:  # fmt: skip
     """Write logs in another form: one as a chunked MCAP, or several as the episodes of a LeRobot dataset.
 
@@ -254,16 +257,17 @@ def convert(
         return Result(out, findings=lerobot_writer.write(logs, out, settings, form, how, task, **window))
     if len(logs) != 1:
         raise UsageError(f"{len(logs)} logs: an MCAP is made of one; a dataset of several, with --to lerobot")
-    return Result(out, findings=conversion.convert(logs[0], out, topics, **window))
+    return Result(out, findings=conversion.convert(logs[0], out, topics, progress=progress, **window))
 
 
-def doctor(log: Path, repair: Path | None = None, strict: bool = False, limits: Input = LIMITS) -> Result:
+def doctor(log: Path, repair: Path | None = None, strict: bool = False, limits: Input = LIMITS,
+           progress: Progress | None = None) -> Result:  # fmt: skip
     """What is wrong with a log; with `repair`, what is sound of it is written there; `strict`: LogError at a loss."""
     from .logs.conversion import examination as logs_doctor
 
     if repair is not None:
         distinct([log], [Output(repair, "--repair")])
-    findings = logs_doctor.examine(log, strict, limits)
+    findings = logs_doctor.examine(log, strict, limits, progress)
     if repair is not None:
         logs_doctor.repair(log, repair, limits)
     return Result(repair, findings=findings)

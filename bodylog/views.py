@@ -18,8 +18,8 @@ from .io.atomic_files import ensure_dir, is_archive
 from .io.outputs import Output
 from .io.remote import errors_about
 from .io.temporary import scratch
+from .logs.protocol import Progress
 from .logs.topic_names import PREFIX
-from .observed import Progress
 from .pipeline import Result, doctor, folders, ingest, observe
 from .result import estimate_result
 from .scoring import score_estimate

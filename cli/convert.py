@@ -38,7 +38,9 @@ def convert(
     """
     from bodylog import pipeline
 
-    from .output import show
+    from .output import progress, show
 
     settings, window = common.settings(), {"start": start, "end": end}
-    return show(pipeline.convert(logs, out, settings, form, how, listed(topics), task, **window), logs, as_json)
+    with progress("convert", logs, settings, "messages") as tick:
+        result = pipeline.convert(logs, out, settings, form, how, listed(topics), task, tick, **window)
+    return show(result, logs, as_json)

@@ -15,12 +15,14 @@ def doctor(logs: tuple[Path, ...], repair: Path | None, common: Common, as_json:
     """Find what is wrong with a log, and repair it."""
     from bodylog import pipeline
 
-    from .output import each, entry, line, lost, print_json
+    from .output import each, entry, line, lost, print_json, progress
 
     if repair is not None and len(logs) != 1:
         raise click.UsageError("--repair takes exactly one LOG")
-    how = common.settings().input
-    results, code = each(logs, lambda log: pipeline.doctor(log, repair, how.strict, how))
+    settings = common.settings()
+    how = settings.input
+    with progress("doctor", logs, settings, "messages") as tick:
+        results, code = each(logs, lambda log: pipeline.doctor(log, repair, how.strict, how, tick))
     if as_json:
         print_json([entry(result, path) for path, result in results.items()])
     else:

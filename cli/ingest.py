@@ -28,9 +28,12 @@ def ingest(
     """Write a log as one tidy MCAP with named roles."""
     from bodylog import pipeline
 
-    from .output import show
+    from .output import progress, show
 
     if start is not None and end is not None and start >= end:
         raise click.BadParameter(f"{start:g} s is not before --end {end:g}", param_hint="--start")
     tables = {form: folder for form, folder in (("csv", csv), ("parquet", parquet)) if folder is not None}
-    return show(pipeline.ingest(log, out, common.settings(), tables, start=start, end=end), log, as_json)
+    settings = common.settings()
+    with progress("ingest", [log], settings) as tick:
+        result = pipeline.ingest(log, out, settings, tables, tick, start=start, end=end)
+    return show(result, log, as_json)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from bodylog.observed import Progress
+    from bodylog.logs.protocol import Progress
     from bodylog.pipeline import Result
     from bodylog.settings import Settings
     from bodylog.types import Finding, Score
@@ -163,10 +163,12 @@ def columns(rows: Sequence[Sequence[str]], left: int) -> None:
 
 
 @contextmanager
-def progress(what: str, logs: Sequence[Any] = (), settings: "Settings | None" = None) -> "Iterator[Progress | None]":
-    """A bar of images on a terminal, nothing otherwise; call what is yielded with how many more are done.
+def progress(
+    what: str, logs: Sequence[Any] = (), settings: "Settings | None" = None, unit: str = "images"
+) -> "Iterator[Progress | None]":
+    """A bar of images or messages on a terminal, nothing otherwise; call what is yielded with how many more are done.
 
-    The total is that of the cameras' images in `logs`; where it is not known, the bar counts.
+    The total is that of all messages, or of the cameras' images, in `logs`; where it is not known, the bar counts.
     """
     if not sys.stderr.isatty() or verbosity() < 0:
         yield None
@@ -175,14 +177,14 @@ def progress(what: str, logs: Sequence[Any] = (), settings: "Settings | None" = 
     from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
-    columns = (SpinnerColumn(), TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn("images"))
+    columns = (SpinnerColumn(), TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
     with Bar(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=_images(logs, settings) or None)
+        task = bar.add_task(what, total=_total(logs, settings, unit) or None)
         yield lambda frames: bar.advance(task, frames)
 
 
-def _images(logs: Sequence[Any], settings: "Settings | None") -> int:
-    """Images on the cameras' topics; 0 where a log does not say, or cannot be read: the command says why."""
+def _total(logs: Sequence[Any], settings: "Settings | None", unit: str) -> int:
+    """Messages of all topics, or images on the cameras'; 0 where a log cannot be read: the command says why."""
     from bodylog.errors import BodylogError
     from bodylog.info import info
 
@@ -190,7 +192,8 @@ def _images(logs: Sequence[Any], settings: "Settings | None") -> int:
     try:
         for found in (info(log, settings) for log in logs if settings is not None):
             cameras = {topic for role, topic in found.get("roles", {}).items() if role.partition("/")[0] == "camera"}
-            total += sum(topic["messages"] for topic in found.get("topics", ()) if topic["topic"] in cameras)
+            total += sum(topic["messages"] for topic in found.get("topics", ())
+                         if unit == "messages" or topic["topic"] in cameras)  # fmt: skip
     except (BodylogError, OSError):
         return 0
     return total

@@ -7,6 +7,7 @@ import pytest
 from bodylog import pipeline
 from bodylog.errors import EvidenceError, LogError, OutputError, UsageError
 from bodylog.evaluation.scores import scores
+from bodylog.logs.formats import open_log
 from bodylog.settings import Settings
 
 
@@ -97,3 +98,17 @@ def test_an_encoder_that_is_off_from_the_first_on_may_be_the_camera() -> None:
         "since the body was learned"
     )
     assert later.text == "encoders a: drifting since 9.000 s, 0.1 rad" and jump.text.endswith("0.1 rad")
+
+
+def test_progress_counts_the_messages_or_images_of_the_whole_log(tmp_path):
+    log = Path(__file__).parents[1] / "fixtures" / "arm" / "reach.mcap"
+    with open_log(log) as opened:
+        messages = {topic.name: topic.messages for topic in opened.topics}
+    done: dict[str, list[int]] = {"doctor": [], "convert": [], "ingest": []}
+    pipeline.doctor(log, progress=done["doctor"].append)
+    pipeline.convert([log], tmp_path / "c.mcap", Settings(), progress=done["convert"].append)
+    pipeline.ingest(log, tmp_path / "i.mcap", Settings(), progress=done["ingest"].append)
+    whole = sum(messages.values())
+    assert {name: sum(found) for name, found in done.items()} == {
+        "doctor": whole, "convert": whole, "ingest": messages["/camera/color/image_raw/compressed"],
+    }  # fmt: skip

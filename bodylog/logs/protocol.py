@@ -1,6 +1,6 @@
 """The interface of every log, whatever its container, and of the functions that open one."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
@@ -49,3 +49,14 @@ Batches = Callable[[Collection[int]], Iterator[Batch]]
 
 Opener = Callable[[Path, bool, Path, Input], Log]
 """Log's path, strict, the file to read (decompressed if necessary), limits -> the log."""
+
+Progress = Callable[[int], None]
+"""Called with how many more messages are done."""
+
+
+def counted(batches: Iterable[Batch], progress: Progress | None) -> Iterator[Batch]:
+    """Yield the batches; `progress` is called with the number of messages of each that is done."""
+    for batch in batches:
+        yield batch
+        if progress is not None:
+            progress(len(batch.log_ns))

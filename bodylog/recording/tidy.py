@@ -18,6 +18,7 @@ from ..logs.mcap.encode import MessageTable
 from ..logs.mcap.prefix import NAME
 from ..logs.mcap.verification import verify
 from ..logs.mcap.writer import CHUNK_BYTES, Contents, Writer
+from ..logs.protocol import Progress
 from ..settings import Settings
 from ..types import Finding, Outgoing, Recording, Series
 from .dataset_metadata import kept_metadata, of_episode
@@ -31,7 +32,8 @@ ALWAYS: Window = (-np.inf, np.inf)
 
 
 def ingest(
-    path: Path, out: Path, settings: Settings, start: float | None = None, end: float | None = None
+    path: Path, out: Path, settings: Settings, start: float | None = None, end: float | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Finding, ...]:
     """Write an MCAP `out` of the log's signals and images from `start` to `end` (s since its first joints).
 
@@ -50,7 +52,7 @@ def ingest(
             add(writer, messages, kept_metadata(recording) | {one.topic: about for one, about in further})
             unread: dict[str, list[str]] = {}
             found = image_messages(path, recording, unread)
-            seen, early = _write_images(found, recording.start_ns, window, writer, kept_metadata(recording))
+            seen, early = _write_images(found, recording.start_ns, window, writer, kept_metadata(recording), progress)
             count = sum(len(o.log_ns) for o in messages) + seen
             if not count:
                 lacking = f"no joints, skin, truth or images {_within(start, end)}"
@@ -115,8 +117,9 @@ def cut(series: Series, start_ns: int, window: Window) -> Series:
 
 
 def _write_images(
-    found: Iterable[ImageMessage], start_ns: int, window: Window, writer: Writer, about: Mapping[str, Mapping[str, str]]
-) -> tuple[int, int]:
+    found: Iterable[ImageMessage], start_ns: int, window: Window, writer: Writer,
+    about: Mapping[str, Mapping[str, str]], progress: Progress | None,
+) -> tuple[int, int]:  # fmt: skip
     """Write the images within `window`, about a chunk at a time; returns how many, and how many came before it.
 
     about {camera's topic without /image…: metadata}.
@@ -125,6 +128,8 @@ def _write_images(
     channels: dict[Kind, int] = {}
     size = count = early = 0
     for image in found:
+        if progress is not None:
+            progress(1)
         if not window[0] <= image.t <= window[1]:
             early += image.t < window[0]
             continue

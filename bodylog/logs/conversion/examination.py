@@ -11,7 +11,7 @@ from ..diagnostics import Diagnostics
 from ..formats import open_log
 from ..limits import LIMITS, Input
 from ..mcap.records import is_mcap
-from ..protocol import Log
+from ..protocol import Log, Progress, counted
 from ..records import Finding
 from ..rosbag2.folder import METADATA, members, metadata_of
 from ..storage.mmapped import check_untruncated, mapped
@@ -52,14 +52,17 @@ class _GroupedFindings:
             yield Finding("warning", f"{self._path}: {texts[0]}{more}")
 
 
-def examine(path: Path, strict: bool = False, limits: Input = LIMITS) -> tuple[Finding, ...]:
+def examine(
+    path: Path, strict: bool = False, limits: Input = LIMITS, progress: Progress | None = None
+) -> tuple[Finding, ...]:
     """Read a log to its end and return all its problems; LogError if it is no log, or strict and part is lost."""
     if several := _episodes(path):
         whole, *found = several
-        return tuple(dict.fromkeys((*_dataset(whole), *(f for one in found for f in examine(one, strict, limits)))))
+        rest = (finding for one in found for finding in examine(one, strict, limits, progress))
+        return tuple(dict.fromkeys((*_dataset(whole), *rest)))
     groups = _GroupedFindings(path)
     with open_log(path, strict, limits) as log:
-        seen = _read(log, checks := _checks(log, limits))
+        seen = _read(log, checks := _checks(log, limits), progress)
         _compare(log, seen, groups)
         for number, text in enumerate(checks.texts() if checks else ()):
             groups.say(f"dataset {number}", text)
@@ -95,9 +98,9 @@ def _checks(log: Log, limits: Input) -> "Checks | None":
     return Checks(log, limits) if isinstance(log, EpisodeLog) else None
 
 
-def _read(log: Log, checks: "Checks | None") -> dict[int, _Seen]:
+def _read(log: Log, checks: "Checks | None", progress: Progress | None) -> dict[int, _Seen]:
     seen = {topic.id: _Seen() for topic in log.topics}
-    for batch in log.batches():
+    for batch in counted(log.batches(), progress):
         if checks is not None:
             checks.add(batch)
         one, times = seen[batch.topic_id], batch.log_ns

@@ -9,12 +9,14 @@ from ...io.atomic_files import replacing
 from ...io.outputs import Output, guard
 from ..formats import open_log
 from ..mcap.verification import verify
+from ..protocol import Progress
 from ..records import Finding
 from .transcode import Span, carry
 
 
 def convert(
-    path: Path, out: Path, topics: Sequence[str] | None = None, start: float | None = None, end: float | None = None
+    path: Path, out: Path, topics: Sequence[str] | None = None, start: float | None = None, end: float | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Finding, ...]:
     """Write a log's messages to the MCAP `out`; ROS 1 payloads become CDR, all else stays unchanged.
 
@@ -25,7 +27,7 @@ def convert(
     span = _checked(path, topics, start, end)
     with replacing(out) as beside:
         with beside.open("wb") as stream:
-            writer, count, findings = carry(path, stream, topics, ours=True, span=span)
+            writer, count, findings = carry(path, stream, topics, ours=True, span=span, progress=progress)
             writer.finish()
         verify(beside, count, out)
     return findings

@@ -19,6 +19,7 @@ from ..mcap.prefix import NAME, no_utf8
 from ..mcap.record_file import sound_heads
 from ..mcap.records import ATTACHMENT, HEADER, MESSAGE, METADATA, Record, is_mcap
 from ..mcap.writer import CHUNK_BYTES, Contents, Writer
+from ..protocol import Progress, counted
 from ..records import Array, Batch, Finding, Topic
 from ..storage.zstd_files import unpack_file
 from ..topic_names import PREFIX
@@ -52,6 +53,7 @@ def carry(
     ours: bool = False,
     span: Span | None = None,
     limits: Input = LIMITS,
+    progress: Progress | None = None,
 ) -> tuple[Writer, int, tuple[Finding, ...]]:
     """Write the messages of a log (`only` these topics, within `span`) to an unfinished MCAP.
 
@@ -66,7 +68,7 @@ def carry(
         writer.begin(_profile(source) if is_mcap(source) else PROFILE, LIBRARY)
         wanted = [t for t in log.topics if (ours or not t.name.startswith(PREFIX)) and (only is None or t.name in only)]
         carriers = {topic.id: _carrier(writer, topic, log.format, findings) for topic in wanted}
-        for table in _tables(log.batches(list(carriers)), carriers, writer, span):
+        for table in _tables(counted(log.batches(list(carriers)), progress), carriers, writer, span):
             writer.write(table)
         if only is None:
             findings += _extras(source, writer, ours, limits)
