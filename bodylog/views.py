@@ -80,11 +80,12 @@ def report(log: Path, out: Path, settings: Settings, figures: Path | None = None
     read, features = observe(log, settings)
     found = read_back.read_estimate(log, read.start_ns)
     shown = image_overlay.pictures(read, features, found)
-    page.write(out, found, features, read, score_estimate(found, read), shown, read_back.read_metadata(log))
+    findings = (*read.findings, *fault_warnings(found.faults))
+    result = estimate_result(out, found, score_estimate(found, read), found.used, findings)
+    page.write(out, found, features, read, result.scores, shown, read_back.read_metadata(log), result.verdict)
     if figures is not None:
         _figures(figures, read, features, found, shown)
-    findings = (*read.findings, *fault_warnings(found.faults))
-    return estimate_result(out, found, score_estimate(found, read), found.used, findings)
+    return result
 
 
 def layout(log: Path, out: Path, settings: Settings) -> Result:

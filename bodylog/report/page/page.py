@@ -24,13 +24,14 @@ def write(
     scores: Sequence[Score],
     pictures: Sequence[Picture],
     provenance: Mapping[str, str],
+    verdict: Sequence[str] = (),
 ) -> None:
     """Write the page to `out`, atomically: no network, the same bytes for the same input."""
     drawn = panels(recording, features, estimate)
     groups = [plain(drawn, marks(features, estimate), recording.duration_s)] if drawn else []
     zeros = reprojection.zeros(estimate.settings.get("offsets"))
     body = [
-        header(recording, estimate, scores),
+        header(recording, estimate, scores, verdict),
         faults(estimate),
         _plots(most_points(drawn), notes(features, estimate)) if drawn else "",
         _gallery(pictures),

@@ -29,15 +29,16 @@ def escaped(text: str, longest: int = _WORD) -> str:
     return html.escape(clean if len(clean) <= longest else clean[: longest - 1] + "…")
 
 
-def header(recording: Recording, estimate: Estimate, scores: Sequence[Score]) -> str:
-    """Log, start, duration, method, and the scores as cards."""
+def header(recording: Recording, estimate: Estimate, scores: Sequence[Score], verdict: Sequence[str] = ()) -> str:
+    """Log, start, duration, method, the verdict's sentences, and the scores as cards."""
     facts = [_when(recording.start_ns), f"{recording.duration_s:.2f} s", recording.format]
     facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"]
     line = escaped(" · ".join(facts))
     whole = [score for score in scores if not split(score.name)[1]][:_ROWS]
     cards = "".join(f"<div><b>{escaped(_quantity(x))}</b>{escaped(x.name)}</div>" for x in whole)
     shown = f'\n<div class="cards">{cards}</div>' if cards else ""
-    return f'<h1>{escaped(recording.name)}</h1>\n<p class="soft">{line}</p>{shown}'
+    text = "".join(f"\n<p>{escaped(sentence, _TEXT)}</p>" for sentence in verdict)
+    return f'<h1>{escaped(recording.name)}</h1>\n<p class="soft">{line}</p>{text}{shown}'
 
 
 def score_table(scores: Sequence[Score]) -> str:
