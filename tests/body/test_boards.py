@@ -86,7 +86,7 @@ def test_scores_and_findings_name_the_board_and_not_each_corner(learned):
     assert any(one.text.startswith("board: camera on base, marker on ") for one in learned.findings)
 
 
-def test_a_file_keeps_each_corner_to_the_last_bit(learned, tmp_path):
+def test_save_keeps_each_board_corner_exactly(learned, tmp_path):
     files.save(learned.model, tmp_path / "body.npz")
     found, x = files.load(tmp_path / "body.npz"), robots.angles(5, seed=4)
     for name, sense in learned.model.senses.items():
@@ -106,7 +106,7 @@ def test_slopes_are_finite_differences_and_one_point_equals_many(learned):
             np.testing.assert_allclose(one, many, rtol=1e-8, atol=1e-8)
 
 
-def test_a_board_is_scored_on_other_poses_as_one(learned):
+def test_score_of_a_board_covers_all_corners(learned):
     other = features(robots.angles(30, seed=21), seed=5)
     scores = {score.name: score.value for score in test_scores.score(learned.model, [other])[0]}
     each = [k for k in range(12) if f"sightings/test/board.{k}" in scores]
@@ -118,7 +118,7 @@ SCALED = ARM.replace("0 -0.05 0.4", "0 -0.0525 0.42").replace("0 0 0.35", "0 0 0
 """The arm with its links between joints longer by 5 %."""
 
 
-def test_links_that_are_all_too_long_are_found_by_the_boards_metres(explored):
+def test_learn_finds_overlong_links_from_the_board_size(explored):
     plain = body.learn([explored], Settings(), {}, None, True)
     found = learn([explored], Settings(), plain, given(SCALED))
     assert found.model is plain.model

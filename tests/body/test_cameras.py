@@ -41,7 +41,7 @@ def _run(seed: int, duration: float, noise: float, cameras: tuple[Array, ...] = 
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_turning_head_is_learned_as_a_joint(seed) -> None:
+def test_learn_treats_a_turning_head_as_a_joint(seed) -> None:
     learned = learn([_run(seed, 60.0, 0.003)], Settings(), {})
     assert learned.model.joints == JOINTS
     later = _angles(np.arange(0.0, 20.0, 0.1), seed)
@@ -51,7 +51,7 @@ def test_a_turning_head_is_learned_as_a_joint(seed) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (1, 2))])
-def test_two_cameras_with_stamps_of_their_own_beat_either(seed) -> None:
+def test_estimate_with_two_cameras_is_better_than_with_either(seed) -> None:
     cameras = BASE, np.array([1.3, 0.5, 0.7])
     body = learn([_run(seed, 60.0, 0.003, cameras)], Settings(), {}).model
     assert set(body.senses) == {"effector", "side/effector"}

@@ -50,29 +50,29 @@ def known():
     return explored()
 
 
-def test_a_sound_run_has_no_change(known):
+def test_change_is_absent_in_a_sound_log(known):
     for seed in (50, 51):
         assert change.changes(run(seed), known) == ()
 
 
 @pytest.mark.parametrize(("joint", "degrees"), [("pan", 1.0), ("lift", -2.0), ("elbow", 5.0)])
-def test_a_moved_zero_is_found_with_its_size(known, joint, degrees):
+def test_change_detects_a_moved_zero_with_its_size(known, joint, degrees):
     (one,) = change.changes(run(offset={joint: degrees * DEGREE}), known)
     assert (one.kind, one.name, one.since, one.alternatives) == ("joint", joint, None, ())
     assert abs(one.value[0] - degrees * DEGREE) < 3 * one.std[0] < 0.5 * DEGREE and one.nats > change.GAIN
 
 
-def test_a_slipped_gear_is_found_with_its_time(known):
+def test_change_detects_a_slipped_gear_with_its_time(known):
     (one,) = change.changes(run(offset={"lift": 2 * DEGREE}, since=6.0), known)
     assert one.name == "lift" and abs(one.since - 6.0) < 0.3 and abs(one.value[0] - 2 * DEGREE) < 3 * one.std[0]
 
 
-def test_two_joints_are_found_where_one_thing_might_imitate_both(known):
+def test_change_names_two_faulty_joints_with_their_sizes(known):
     found = change.changes(run(offset={"lift": 2 * DEGREE, "elbow": -3 * DEGREE}), known)
     assert {one.name: round(float(np.degrees(one.value[0]))) for one in found} == {"lift": 2, "elbow": -3}
 
 
-def test_a_camera_that_was_pushed_is_no_joint(known):
+def test_change_of_a_pushed_camera_names_no_joint(known):
     (one,) = change.changes(run(camera=np.array([0.01, 0.0, 0.0, 0.0, 0.03, 0.01])), known)
     assert (one.kind, one.name) == ("camera", "camera") and abs(one.value[4] - 0.03) < 3 * one.std[4]
 
@@ -86,7 +86,7 @@ def test_false_sightings_do_not_count(known):
     assert one.name == "elbow" and abs(one.value[0] - 2 * DEGREE) < 3 * one.std[0]
 
 
-def test_without_a_urdf_or_sightings_nothing_is_compared(known):
+def test_change_needs_a_urdf_and_sightings(known):
     features = run(offset={"elbow": 2 * DEGREE})
     plain = replace(known, senses={"effector": body.learn([run(3, 10.0)], Settings(), {}).model.senses["effector"]})
     assert not change.comparable(plain) and change.changes(features, plain) == ()
@@ -103,7 +103,7 @@ def _estimate(features, known, **settings):
     return found, change_findings.compared(features, known, found, chosen.estimate)
 
 
-def test_an_estimate_names_a_change_once_with_its_std(known):
+def test_change_findings_name_a_change_once_with_its_std(known):
     found, estimated = _estimate(run(offset={"elbow": 3 * DEGREE}), known)
     assert [fault.kind for fault in found.faults] == ["drifting"]
     (fault,) = estimated.faults
@@ -114,12 +114,12 @@ def test_an_estimate_names_a_change_once_with_its_std(known):
     assert any(f.text.startswith("elbow: reads -") and "nats likelier" in f.text for f in estimated.findings)
 
 
-def test_a_slip_that_the_filter_names_is_left_to_it(known):
+def test_change_leaves_a_slip_to_the_filters_fault(known):
     found, estimated = _estimate(run(offset={"lift": 3 * DEGREE}, since=6.0), known)
     assert estimated.faults == found.faults and len(found.faults) == 1
 
 
-def test_a_pushed_camera_is_not_attributed_to_joints(known):
+def test_change_findings_attribute_no_pushed_camera_to_joints(known):
     features = run(duration=14.0)
     found, _ = _estimate(features, known)
     track = features.tracks["effector"]
@@ -152,7 +152,7 @@ def test_ambiguous_changes_are_named_together(known):
 
 
 @pytest.mark.soak
-def test_over_many_draws_sound_runs_have_no_change_and_sizes_have_true_error_bars():
+def test_change_has_true_error_bars_over_many_draws():
     draw, within, count, false = np.random.default_rng(7), 0, 0, 0
     for seed in range(10):
         one = explored(seed)

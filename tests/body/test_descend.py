@@ -12,7 +12,7 @@ def _bowl(seed: int, count: int) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_bowl_is_descended_in_one_step_with_its_own_curvature(seed: int) -> None:
+def test_descend_solves_a_quadratic_in_one_step(seed: int) -> None:
     curvature, centre = _bowl(seed, 4)
     calls = []
 
@@ -40,7 +40,7 @@ def test_bounds_hold_and_free_variables_are_minimised(seed: int) -> None:
     assert np.allclose(found[1:], rest, atol=2e-3)
 
 
-def test_a_bent_valley_is_followed_to_its_end() -> None:
+def test_descend_follows_a_bent_valley_to_its_end() -> None:
     def rosenbrock(x: Array) -> tuple[float, Array]:
         a, b = 1 - x[0], x[1] - x[0] ** 2
         return float(a * a + 100 * b * b), np.array([-2 * a - 400 * x[0] * b, 200 * b])
@@ -49,7 +49,7 @@ def test_a_bent_valley_is_followed_to_its_end() -> None:
     assert np.allclose(descend(rosenbrock, np.array([-1.2, 1.0]), -wide, wide, np.eye(2)), 1.0, atol=1e-3)
 
 
-def test_it_stops_without_descent() -> None:
+def test_descend_stops_where_no_step_lowers_the_value() -> None:
     wide = np.ones(2)
     assert np.array_equal(descend(lambda x: (0.0, np.zeros(2)), np.zeros(2), -wide, wide, np.eye(2)), np.zeros(2))
     # a wrong gradient: no step finds a lower value

@@ -65,7 +65,7 @@ def test_maximise_finds_the_kernel_that_drew_the_data(seed: int) -> None:
     assert found.noise == pytest.approx(truth.noise, rel=0.4)
 
 
-def test_the_prior_decides_without_information() -> None:
+def test_maximise_returns_the_prior_without_information() -> None:
     draw = np.random.default_rng(0)
     x = np.column_stack([draw.uniform(-1, 1, 60), draw.normal(0, 1e-3, 60)])
     y = np.sin(2 * x[:, :1]) + draw.normal(0, 0.05, (60, 1))

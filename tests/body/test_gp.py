@@ -75,7 +75,7 @@ def test_slope_variance_is_the_curvature_of_the_covariance(seed: int) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(shared=st.booleans(), count=st.sampled_from([30, 200]), **_sizes)
-def test_a_short_factor_changes_no_variance(seed: int, count: int, inputs: int, outputs: int, shared: bool) -> None:
+def test_shortened_factor_keeps_the_variance(seed: int, count: int, inputs: int, outputs: int, shared: bool) -> None:
     gp = _random(seed, count, inputs, outputs, shared)
     short, draw = shortened(gp), np.random.default_rng(seed)
     x = np.concatenate([gp.samples[:20], draw.uniform(-2, 2, (20, inputs)), draw.uniform(-6, 6, (20, inputs))])
@@ -86,7 +86,7 @@ def test_a_short_factor_changes_no_variance(seed: int, count: int, inputs: int, 
     assert short.factor.shape[1] <= count
 
 
-def test_a_smooth_model_of_many_samples_gets_short() -> None:
+def test_shortened_factor_of_a_smooth_model_is_small() -> None:
     assert shortened(_random(0, 400, 2, 2, True)).factor.shape[1] < 200
 
 
@@ -96,7 +96,7 @@ def test_covariance_has_the_variance_on_its_diagonal() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_large_amplitude_loses_no_digits(seed: int) -> None:
+def test_gp_keeps_precision_at_a_large_amplitude(seed: int) -> None:
     """A mean is as exact as its largest terms, however large the amplitude."""
     draw = np.random.default_rng(seed)
     centres, weights = draw.uniform(-1, 1, (60, 3)), draw.normal(0, 1, (2, 60))
@@ -112,7 +112,7 @@ def test_a_large_amplitude_loses_no_digits(seed: int) -> None:
         assert (np.abs(found - exact) / size).max() < 2 * np.finfo(float).eps
 
 
-def test_far_away_it_falls_back_to_the_constant_mean_and_full_variance() -> None:
+def test_gp_returns_to_the_prior_far_from_samples() -> None:
     gp = _random(1, 20, 3, 2, False)
     value, slope, spread = gp.predict(np.full((2, 3), 1e3))
     assert np.allclose(value, gp.mean) and np.allclose(slope, 0) and np.allclose(spread, MISFIT * gp.amplitude)

@@ -61,7 +61,7 @@ def _truth(q, bend=3.0):
     return rig.see(rig.sights[0], robots.truth(rig, OFFSETS), q).image[:, 0] + _bent(q, bend)
 
 
-def test_it_predicts_better_than_a_process_alone_with_true_error_bars(plain, learned):
+def test_kinematic_gp_predicts_better_than_a_plain_gp(plain, learned):
     q = robots.angles(300, seed=8)
     alone, both = plain.model.senses["effector"], learned.model.senses["effector"]
     assert isinstance(both, KinematicGP)
@@ -72,7 +72,7 @@ def test_it_predicts_better_than_a_process_alone_with_true_error_bars(plain, lea
     assert 0.4 < standard.mean() < 1.6 and (standard < 4).mean() > 0.9
 
 
-def test_beyond_the_exploration_it_follows_kinematics_and_error_bars_grow(plain, learned):
+def test_kinematic_gp_extrapolates_by_kinematics_with_growing_error_bars(plain, learned):
     q = robots.angles(300, seed=8) * [2.0, 1.0, 1.0, 1.0]
     beyond = np.abs(q[:, 0]) > 0.8
     alone, both = plain.model.senses["effector"], learned.model.senses["effector"]
@@ -105,7 +105,7 @@ def test_zeros_are_found_and_unidentified_ones_are_named(learned):
     assert any("pan: its zero cannot be separated from camera's" in line for line in text)
 
 
-def test_a_file_keeps_the_model_to_the_last_bit(learned, tmp_path):
+def test_storage_keeps_the_kinematic_model_exactly(learned, tmp_path):
     files.save(learned.model, tmp_path / "body.npz")
     found, x = files.load(tmp_path / "body.npz"), robots.angles(5, seed=4)
     both = (one.senses["effector"].predict(x) for one in (found, learned.model))
@@ -123,7 +123,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("field", BROKEN)
-def test_a_file_that_contradicts_itself_is_refused_by_field(learned, tmp_path, field, monkeypatch):
+def test_storage_refuses_inconsistent_fields_by_name(learned, tmp_path, field, monkeypatch):
     from bodylog.body.kinematic import storage
 
     arrays = storage.arrays
@@ -144,14 +144,14 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("which", OTHERS)
-def test_another_robots_urdf_is_named_and_not_used(plain, which):
+def test_learn_names_and_ignores_another_robots_urdf(plain, which):
     found = learn([features()], Settings(), plain, given(OTHERS[which]))
     assert found.model is plain.model
     answer = found.findings[-1]
     assert answer.severity == "warning" and answer.text.startswith("the URDF is not used: ")
 
 
-def test_a_joint_without_readings_is_named(plain):
+def test_learn_names_a_chain_joint_without_readings(plain):
     lifted = ARM.replace('<link name="base"/>', '<link name="base"/><link name="rail"/>').replace(
         '<joint name="lift"',
         '<joint name="lifter" type="prismatic"><parent link="rail"/><child link="turret"/></joint><joint name="lift"',
@@ -163,7 +163,7 @@ def test_a_joint_without_readings_is_named(plain):
     assert any(f.severity == "warning" and f.text.startswith(text) for f in found.findings)
 
 
-def test_a_urdf_without_a_joint_of_the_log_is_refused(plain):
+def test_learn_refuses_a_urdf_that_lacks_a_joint(plain):
     text = ARM
     for name in JOINTS:
         text = text.replace(f'name="{name}"', f'name="left_{name}"')
@@ -171,7 +171,7 @@ def test_a_urdf_without_a_joint_of_the_log_is_refused(plain):
         learn([features()], Settings(), plain, given(text))
 
 
-def test_a_slow_error_is_found_and_stated():
+def test_learn_finds_and_reports_a_slow_error():
     sizes = {}
     for drift in (0.0, 2.0):
         some = features(bend=0.0, drift=drift)
@@ -180,7 +180,7 @@ def test_a_slow_error_is_found_and_stated():
     assert sizes[0.0] < 0.1 and 0.5 < sizes[2.0] < 4.0
 
 
-def test_without_a_urdf_nothing_changes(plain):
+def test_learn_without_a_urdf_is_unchanged(plain):
     assert body.with_kinematics([features()], Settings(), plain, None) is plain
 
 
@@ -226,7 +226,7 @@ def test_held_out_residuals_are_predictions_by_the_others():
     assert solved(chol, replace(rows, residual=0 * rows.residual)).mean == pytest.approx(np.zeros(3))
 
 
-def test_the_plain_body_is_a_process_still(plain):
+def test_plain_body_is_a_gp(plain):
     assert type(plain.model.senses["effector"]) is GP
 
 

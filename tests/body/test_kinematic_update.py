@@ -33,7 +33,7 @@ def _updated(known, more, settings=None):
     return plain, body.with_kinematics([more], settings, plain, None, known)
 
 
-def test_an_update_keeps_chain_and_base_and_reduces_uncertainty(known):
+def test_update_keeps_chain_and_base_and_reduces_uncertainty(known):
     _, found = _updated(known, features(25, seed=7))
     before, after = known.senses["effector"], found.model.senses["effector"]
     assert isinstance(after, KinematicGP) and len(after.samples) == 50
@@ -50,12 +50,12 @@ def test_an_update_keeps_chain_and_base_and_reduces_uncertainty(known):
     assert errors[1] < 1.2 * errors[0]
 
 
-def test_no_urdf_learns_without_kinematics(known):
+def test_learn_without_a_urdf_uses_no_kinematics(known):
     plain, found = _updated(known, features(25, seed=7), Settings(kinematics=Kinematics(use=False)))
     assert found is plain
 
 
-def test_a_camera_that_was_moved_is_named_and_the_chain_not_used(known):
+def test_update_names_a_moved_camera_and_ignores_the_chain(known):
     more = features(60, seed=7)
     track = more.tracks["effector"]
     turned = replace(track, values=track.values[:, ::-1] * [1.3, -1.0] + [40.0, 300.0])

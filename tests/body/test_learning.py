@@ -56,13 +56,13 @@ def test_scores_say_what_was_learned(learned: Learned) -> None:
     assert all(np.isfinite(v) for v in scores.values())
 
 
-def test_the_same_logs_give_the_same_bytes(explored, tmp_path: Path) -> None:
+def test_learn_is_deterministic(explored, tmp_path: Path) -> None:
     for name in ("one", "other"):
         save(learn([explored(3, 0.003, 15.0).features], Settings(), {"by": "test"}).model, tmp_path / name)
     assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
 
 
-def test_two_logs_are_better_than_one(explored) -> None:
+def test_learn_from_two_logs_is_better_than_one(explored) -> None:
     logs, test = [explored(seed, 0.003, 20.0) for seed in (1, 2)], explored(9, 0.003, 20.0)
 
     def error(features: Sequence[Features]) -> float:
@@ -72,7 +72,7 @@ def test_two_logs_are_better_than_one(explored) -> None:
     assert error([run.features for run in logs]) < 0.9 * min(error([run.features]) for run in logs)
 
 
-def test_a_body_is_updated_from_another_log(explored) -> None:
+def test_learn_updates_a_body_from_another_log(explored) -> None:
     first, second, test = (explored(seed, 0.003, 20.0) for seed in (1, 2, 9))
     once = learn([first.features], Settings(), {})
     twice = learn([second.features], Settings(), {}, once.model)
@@ -90,7 +90,7 @@ def test_a_body_is_updated_from_another_log(explored) -> None:
         learn([other], Settings(), {}, once.model)
 
 
-def test_every_named_track_gets_its_model_and_the_hand_none(explored) -> None:
+def test_learn_models_every_named_track_except_the_hand(explored) -> None:
     features = explored(0, 0.003, 15.0).features
     track = features.tracks["effector"]
     knob = replace(track, values=0.5 * track.values)
@@ -136,7 +136,7 @@ def test_paper_preset_has_its_constants_and_its_error(explored) -> None:
     assert 5.0 < np.sqrt(np.mean(error**2)) < 40.0
 
 
-def test_a_named_joint_that_did_not_move_is_kept_with_a_warning(explored) -> None:
+def test_learn_keeps_a_named_still_joint_with_a_warning(explored) -> None:
     settings = Settings(body=Body(joints=("pan", "lift", "elbow", "wrist")))
     found = learn([explored(0, 0.003, 20.0).features], settings, {})
     assert found.model.joints == settings.body.joints
@@ -147,7 +147,7 @@ def test_a_named_joint_that_did_not_move_is_kept_with_a_warning(explored) -> Non
     assert (far > 100 * near).all()
 
 
-def test_nothing_to_learn_from_is_an_error(explored) -> None:
+def test_learn_refuses_logs_without_samples(explored) -> None:
     features = explored(0, 0.003, 10.0).features
     with pytest.raises(EvidenceError, match="no track to learn from, though 3 joints moved"):
         learn([replace(features, tracks={})], Settings(), {})
@@ -166,7 +166,7 @@ def _warnings(found: Learned) -> list[str]:
     return [f.text for f in found.findings if f.severity == "warning"]
 
 
-def test_a_joint_without_finite_readings_is_named(explored) -> None:
+def test_learn_names_a_joint_without_finite_readings(explored) -> None:
     features = _with_readings(explored(0, 0.003, 10.0).features, 2, np.nan)
     found = learn([features], Settings(), {})
     assert found.model.joints == ("pan", "lift")
@@ -194,7 +194,7 @@ def test_logs_of_two_robots_are_refused(explored) -> None:
         learn([features, other], Settings(), {})
 
 
-def test_an_unselected_joint_that_moved_is_named(explored) -> None:
+def test_learn_names_an_unselected_joint_that_moved(explored) -> None:
     found = learn([explored(0, 0.003, 10.0).features], Settings(body=Body(joints=("pan", "lift"))), {})
     moved = [text for text in _warnings(found) if "not among the joints learned" in text]
     assert len(moved) == 1 and moved[0].startswith("elbow: moved ")
@@ -213,7 +213,7 @@ def _standardised(explored: Callable, encoder: float, seed: int) -> dict[str, Ar
 
 @pytest.mark.parametrize("encoder", [0.0005, 0.02])
 @pytest.mark.parametrize("seeds", [4, pytest.param(20, marks=pytest.mark.soak)])
-def test_a_body_has_true_error_bars(explored, encoder: float, seeds: int) -> None:
+def test_learned_body_has_true_error_bars(explored, encoder: float, seeds: int) -> None:
     runs = [_standardised(explored, encoder, seed) for seed in range(seeds)]
     # the bound is for 20 runs together; 4 of them scatter more
     slack = 1.0 if seeds == 20 else 1.5
@@ -240,7 +240,7 @@ def test_recorded_arm_is_predicted_along_paths_it_never_took() -> None:
         assert np.sqrt(np.mean(error**2)) < allowed, log
 
 
-def test_the_image_width_is_kept_where_all_logs_agree(explored) -> None:
+def test_learn_keeps_the_image_width_if_all_logs_agree(explored) -> None:
     features = explored(0, 0.003, 15.0).features
     wide, other = (replace(features, picture_size=(width, 240)) for width in (320, 640))
     assert learn([wide], Settings(), {"by": "test"}).model.provenance == {"image_width": 320, "by": "test"}
@@ -262,7 +262,7 @@ def test_encoders_that_read_squares_are_estimated_with_the_model_given(explored,
     assert np.abs(found.joints.values[-20:].mean(axis=0) - at).max() < 0.02
 
 
-def test_an_update_keeps_given_senses_and_touch(explored) -> None:
+def test_update_keeps_given_senses_and_touch(explored) -> None:
     features = explored(0, 0.003, 15.0).features
     once = learn([features], Settings(), {}).model
     read = Polynomial(once.joints, np.tile([0.0, 1.0], (3, 1)))
@@ -273,7 +273,7 @@ def test_an_update_keeps_given_senses_and_touch(explored) -> None:
     assert (again.touch, again.cells) == (felt, known.cells)
 
 
-def test_an_exploration_whose_encoders_fell_silent_is_learned_from_the_rest(explored) -> None:
+def test_learn_uses_what_precedes_silent_encoders(explored) -> None:
     run = explored(0, 0.003)
     readings = run.features.joints
     values = readings.values.copy()

@@ -164,7 +164,7 @@ _BROKEN = {
 
 
 @pytest.mark.parametrize("kind", _BROKEN)
-def test_a_broken_model_is_refused_by_name(kind: str, body: BodyModel, tmp_path: Path) -> None:
+def test_load_refuses_a_broken_model_by_name(kind: str, body: BodyModel, tmp_path: Path) -> None:
     path = tmp_path / "body.npz"
     save(body, path)
     damage, expected = _BROKEN[kind]
@@ -176,7 +176,7 @@ def test_a_broken_model_is_refused_by_name(kind: str, body: BodyModel, tmp_path:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_every_flipped_byte_is_noticed(seed: int, body: BodyModel, tmp_path: Path) -> None:
+def test_load_detects_every_flipped_byte(seed: int, body: BodyModel, tmp_path: Path) -> None:
     path = tmp_path / "body.npz"
     save(body, path)
     whole, draw = bytearray(path.read_bytes()), np.random.default_rng(seed)
@@ -192,7 +192,7 @@ def test_every_flipped_byte_is_noticed(seed: int, body: BodyModel, tmp_path: Pat
     assert all(np.array_equal(found.senses[n].predict(x)[0], g.predict(x)[0]) for n, g in body.senses.items())
 
 
-def test_a_missing_file_and_folder_are_named(body: BodyModel, tmp_path: Path) -> None:
+def test_storage_names_a_missing_file_and_folder(body: BodyModel, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="there is no such body model"):
         load(tmp_path / "none.npz")
     with pytest.raises(OutputError, match="mkdir -p"):

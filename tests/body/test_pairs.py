@@ -20,7 +20,7 @@ def test_wanted_joints_come_in_the_order_wanted(explored) -> None:
         joints([features], ("elbo",))
 
 
-def test_a_log_without_readings_is_named(explored) -> None:
+def test_joints_names_a_log_without_readings(explored) -> None:
     features = explored(0, 0.001, 10.0).features
     with pytest.raises(LogError, match="log 2 of 2: no joint readings"):
         joints([features, replace(features, joints=None)], None)
@@ -65,7 +65,7 @@ def test_sightings_in_long_encoder_gaps_are_dropped(explored, part: slice) -> No
     assert np.isin(found.t, features.tracks["effector"].t).all()
 
 
-def test_every_nth_frame(explored) -> None:
+def test_pairs_keeps_every_nth_frame(explored) -> None:
     features = explored(0, 0.001, 10.0).features
     part = pairs([features], "effector", joints([features], ("pan",)), 3)
     assert np.allclose(part.t, features.effector.t[::3])

@@ -88,7 +88,7 @@ def test_real_poses_are_predicted_to_less_than_a_pixel(motoman):
 
 
 @pytest.mark.parametrize(("size", "joints"), [(0.05, range(0, 6, 2)), (-0.05, range(1, 6, 2))])
-def test_an_encoder_that_is_off_is_named_among_real_ones(motoman, size, joints):
+def test_estimate_names_an_offset_encoder_among_real_ones(motoman, size, joints):
     learned, features, _ = motoman
     for joint, name in ((k, learned.joints[k]) for k in joints):
         found = pipeline.infer(_shifted(features, learned.joints, size * np.eye(6)[joint]), learned, Settings())

@@ -72,7 +72,7 @@ def test_several_logs_are_learned_together(explored) -> None:
 
 @pytest.mark.parametrize("reading", [_square, _bent])
 @pytest.mark.parametrize("method", ["laplace", "smoother", "predictive-coding"])
-def test_a_log_without_reference_is_estimated(explored, tmp_path, reading, method) -> None:
+def test_estimate_accepts_a_log_without_reference(explored, tmp_path, reading, method) -> None:
     save(learn([_read(explored, 0, reading)], Settings(), {}).model, tmp_path / "body.npz")
     features = replace(_read(explored, 0, reading, 0.01, 12.0), reference=None)
     coding = METHODS[method].encoder_model
@@ -117,7 +117,7 @@ def test_readings_become_angles_by_name_and_extrapolate_linearly(explored) -> No
     assert (angled.joints.values[:, 3] == 7.0).all() and set(plain.senses) == {"effector"}
 
 
-def test_an_update_without_a_reference_uses_the_bodys_encoder_function(explored) -> None:
+def test_update_without_reference_uses_the_bodys_encoder_function(explored) -> None:
     once = learn([_read(explored, 0, _square)], Settings(), {}).model
     more = replace(_read(explored, 0, _square, duration=10.0), reference=None)
     again = learn([more], Settings(), {}, once).model

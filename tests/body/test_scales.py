@@ -33,7 +33,7 @@ def learned(tmp_path_factory):
     return folder, result
 
 
-def test_the_scale_is_found_with_its_uncertainty_and_reported(learned):
+def test_scale_is_learned_and_reported_with_its_uncertainty(learned):
     folder, result = learned
     by_joint = {one.joint: one for one in offsets.scaled(files.load(folder / "body.npz"))}
     lift = by_joint["lift"]
@@ -43,7 +43,7 @@ def test_the_scale_is_found_with_its_uncertainty_and_reported(learned):
     assert all(abs(one.value) < 2 * one.std for one in by_joint.values() if one.identifiable and one is not lift)
 
 
-def test_the_scale_is_printed_and_written(learned, run_cli, capsys):
+def test_scale_is_printed_and_written(learned, run_cli, capsys):
     folder, _ = learned
     for name in ("zeros.yaml", "zeros.json"):
         assert run_cli("offsets", folder / "body.npz", "--json", "-o", folder / name) == 0
@@ -58,7 +58,7 @@ def test_the_scale_is_printed_and_written(learned, run_cli, capsys):
     assert "scale lift: +" in capsys.readouterr().out
 
 
-def test_a_file_keeps_the_scale_and_inconsistent_fields_are_named(learned, monkeypatch):
+def test_storage_keeps_the_scale_and_names_inconsistent_fields(learned, monkeypatch):
     folder, _ = learned
     found = files.load(folder / "body.npz")
     sense, x = found.senses["effector"], angles(5, 4)
@@ -83,13 +83,13 @@ def test_a_file_keeps_the_scale_and_inconsistent_fields_are_named(learned, monke
             files.load(folder / "bad.npz")
 
 
-def test_an_update_starts_from_the_scale(learned):
+def test_update_starts_from_the_scale(learned):
     sense = files.load(learned[0] / "body.npz").senses["effector"]
     rig, theta = update._whole({"effector": sense})
     assert np.array_equal(theta, sense.theta) and len(rig.prior[0]) == len(theta)
 
 
-def test_without_a_prior_scales_are_fixed(learned, run_cli, capsys):
+def test_scales_are_fixed_without_a_prior(learned, run_cli, capsys):
     folder, _ = learned
     (folder / "robot.toml").write_text("[kinematics]\nscale_prior = 0.5\n")
     typed = ("fit", folder / "poses.csv", "-o", folder / "no.npz", "--config", folder / "robot.toml")

@@ -27,7 +27,7 @@ def _beside(features: Features, finger: np.ndarray, name: str) -> Features:
     return replace(features, joints=joints, beside=(name,))
 
 
-def test_a_gripper_that_moves_unseen_changes_nothing(explored):
+def test_learn_ignores_a_gripper_that_moves_unseen(explored):
     alone = explored(1, 0.002, 20.0).features
     finger = 0.04 * np.sin(1.3 * alone.joints.t)
     both = _beside(alone, finger, "finger")
@@ -42,7 +42,7 @@ def test_a_gripper_that_moves_unseen_changes_nothing(explored):
     assert asked.model.joints == ("pan", "lift", "elbow", "finger")
 
 
-def test_a_joint_of_a_further_topic_that_is_seen_is_learned_over(explored):
+def test_learn_includes_a_visible_joint_of_a_further_topic(explored):
     alone = explored(1, 0.002, 20.0).features
     kept = [0, 1, 3]
     old = alone.joints
@@ -51,7 +51,7 @@ def test_a_joint_of_a_further_topic_that_is_seen_is_learned_over(explored):
     assert set(body.learn([both], Settings(), {}).model.joints) == {"pan", "lift", "elbow"}
 
 
-def test_a_gripper_beside_a_track_of_hardly_any_noise_is_left_out():
+def test_learn_omits_a_gripper_beside_a_nearly_noiseless_track():
     """A process fits the fingers' motion to its small residual, which exceeds a tag's noise."""
     if not WORLDS.is_dir():
         pytest.skip(f"{WORLDS} is not here")

@@ -59,7 +59,7 @@ def test_evidence_finds_the_noise_and_its_own_error_bar(encoder: float) -> None:
     assert 0.3 < np.mean(np.square(wrong)) < 2.5
 
 
-def test_two_logs_have_more_evidence_than_one() -> None:
+def test_fit_of_two_logs_has_smaller_std_error() -> None:
     draw = np.random.default_rng(0)
     t = np.arange(0, 10, 0.02)
     logs = [chain(t, np.sin(t + k) + draw.normal(0, 0.01, len(t))) for k in range(2)]
@@ -101,7 +101,7 @@ def test_readings_may_be_out_of_order_repeated_or_missing() -> None:
     assert fit([one], 2).encoder == pytest.approx(1e-4, rel=0.2)
 
 
-def test_a_repeated_message_is_one_reading() -> None:
+def test_fit_counts_a_repeated_message_once() -> None:
     t = np.arange(0, 10, 0.008)
     z = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, len(t))
     again = chain(np.sort(np.concatenate([t + k * 0.002 for k in range(4)])), np.repeat(z, 4))

@@ -36,7 +36,7 @@ def run(explored):
     return explored(3, 0.002, 20.0).features
 
 
-def test_a_track_that_stands_still_is_refused_by_name(run):
+def test_learn_refuses_a_still_track_by_name(run):
     still = np.full(run.tracks["effector"].values.shape, [40.0, 30.0])
     text = _refused(_only(run, still))
     assert "effector: stands still at (40.0, 30.0) px in all 199 sightings, seen in 199 of 199 images" in text
@@ -44,7 +44,7 @@ def test_a_track_that_stands_still_is_refused_by_name(run):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_track_moved_by_other_things_is_refused(run, seed):
+def test_learn_refuses_a_track_unrelated_to_the_joints(run, seed):
     draw, track = np.random.default_rng(seed), run.tracks["effector"]
     noise = draw.normal([40.0, 30.0], 0.4, track.values.shape)
     t = track.t[:, None] * draw.uniform(0.3, 1.5, 2)
@@ -59,7 +59,7 @@ def test_false_sightings_do_not_hide_that_the_arm_is_seen(run):
     assert set(body.learn([_only(run, places)], Settings(), {}).model.senses) == {"effector"}
 
 
-def test_a_still_track_beside_a_moving_one_is_left_out_with_a_warning(run):
+def test_learn_omits_a_still_track_with_a_warning(run):
     still = np.full(run.tracks["effector"].values.shape, [40.0, 30.0])
     noisy = still + np.random.default_rng(2).normal(0, 0.3, still.shape)
     alone = body.learn([run], Settings(), {})
@@ -98,12 +98,12 @@ def test_places_beyond_any_camera_are_left_out(run):
     assert any("1 of 199 places in log 1 left out: beyond 1e+06 px" in f.text for f in found.findings)
 
 
-def test_a_kernel_without_amplitude_has_an_inducing_point():
+def test_inducing_gives_one_point_without_amplitude():
     x = np.random.default_rng(0).normal(size=(700, 3))
     assert len(inducing([Hyper(np.ones(3), 1e-9, 1.0)], x, 1.0)) == 1
 
 
-def test_a_table_of_few_poses_is_refused(tmp_path, run_cli, capsys):
+def test_learn_refuses_a_table_of_few_poses(tmp_path, run_cli, capsys):
     draw = np.random.default_rng(0)
     rows = [f"{a},{b},{c},{d}" for a, b, c, d in draw.normal(size=(5, 4)).tolist()]
     (tmp_path / "poses.csv").write_text("\n".join(["pan,lift,tip_u,tip_v", *rows]) + "\n")

@@ -39,7 +39,7 @@ def test_scores_are_the_errors_against_what_was_seen(explored, learned):
     assert 0.7 < found["nis/test/effector"] < 1.4 and found["coverage_2sigma/test/effector"] > 90
 
 
-def test_a_wrong_body_has_bad_scores(explored, learned):
+def test_score_is_bad_for_a_wrong_body(explored, learned):
     run = explored(5, 0.003, 20.0).features
     track = run.tracks["effector"]
     moved = replace(run, tracks={"effector": replace(track, values=track.values + np.array([4.0, 0.0]))})
@@ -48,7 +48,7 @@ def test_a_wrong_body_has_bad_scores(explored, learned):
     assert found["coverage_2sigma/test/effector"] < 60
 
 
-def test_a_log_that_cannot_score_is_refused(explored, learned):
+def test_score_refuses_a_log_it_cannot_use(explored, learned):
     run = explored(5, 0.003, 10.0).features
     with pytest.raises(EvidenceError, match="test: no sighting of effector; tracks: other"):
         score(learned, [replace(run, tracks={"other": run.tracks["effector"]})])

@@ -37,7 +37,7 @@ def _features(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_many_touches_give_their_own_spread(seed: int) -> None:
+def test_touch_spread_of_many_touches_is_their_own(seed: int) -> None:
     constants, _, findings = learned([_features(seed, 300, 0.03, 6.0)], ("pan",), _Still())
     assert constants.a1 == 1.0
     assert np.sqrt(1 / (2 * constants.b1)) == pytest.approx(6.0, rel=0.15)
@@ -45,25 +45,25 @@ def test_many_touches_give_their_own_spread(seed: int) -> None:
     assert printed == pytest.approx(0.03, rel=0.15)
 
 
-def test_a_log_with_delays_but_without_strokes_gives_the_same() -> None:
+def test_touch_learned_without_strokes_is_the_same() -> None:
     features = _features(0, 40, 0.03, 6.0)
     kept = replace(features, synchrony=tuple(replace(pair, stroke=None) for pair in features.synchrony))
     assert learned([kept], ("pan",), _Still()) == learned([features], ("pan",), _Still())
 
 
-def test_few_touches_change_the_prior_little() -> None:
+def test_touch_spread_of_few_touches_is_near_the_prior() -> None:
     constants, _, _ = learned([_features(0, 3, 1e-4, 1e-3)], ("pan",), _Still())
     assert 8.0 < np.sqrt(1 / (2 * constants.b1)) < 12.0
 
 
-def test_without_touches_the_prior_stays() -> None:
+def test_touch_spread_without_touches_is_the_prior() -> None:
     features = replace(_features(0, 1, 0.0, 0.0), touches=None, synchrony=())
     constants, _, findings = learned([features], ("pan",), _Still())
     assert findings == () and np.sqrt(1 / (2 * constants.b1)) == pytest.approx(12.0)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_each_cell_has_its_position_beside_the_effector(seed: int) -> None:
+def test_touch_places_each_cell_beside_the_effector(seed: int) -> None:
     offsets = ((0.0, -15.0), (2.0, -40.0), (-8.0, 10.0))
     _, cells, findings = learned([_features(seed, 90, 0.0, 3.0, offsets)], ("pan",), _Still())
     assert set(cells) == {1, 2, 3} and "place of 3 cells" in findings[0].text
@@ -74,7 +74,7 @@ def test_each_cell_has_its_position_beside_the_effector(seed: int) -> None:
         assert 2.0 < spread < 5.5
 
 
-def test_a_stroke_along_the_limb_widens_the_spread() -> None:
+def test_touch_spread_grows_with_strokes_along_the_limb() -> None:
     features = _features(0, 40, 0.0, 0.0)
     along = np.where(features.hand.t[:, None] % 2.0 > 0.99, 1.0, 0.0) * ((features.hand.t % 1.0) * 60.0)[:, None]
     hand = replace(features.hand, values=features.hand.values + along * [0.0, 1.0])

@@ -68,7 +68,7 @@ def test_separate_kernels_have_each_its_own_greatest_evidence(camera) -> None:
     assert gp.scales.shape == (2, 3) and gp.factor.shape == (2, 80, 80)
 
 
-def test_the_seed_decides_and_nothing_else(camera) -> None:
+def test_fit_is_deterministic_for_a_seed(camera) -> None:
     _, data = _arm(3, 300, 0.003, camera)
     one, again = (fitted(data, ROTATION, True, 7) for _ in range(2))
     assert one.kernels[0].theta.tolist() == again.kernels[0].theta.tolist()
@@ -87,7 +87,7 @@ def test_more_samples_than_are_exact_are_all_used(count: int, camera) -> None:
 
 
 @pytest.mark.soak
-def test_a_hundred_thousand_samples_fit_in_little_memory(camera) -> None:
+def test_train_fits_100000_samples_in_little_memory(camera) -> None:
     _, data = _arm(5, 100_000, 0.0, camera)
     data = samples(data.x, data.y)
     tracemalloc.start()
@@ -102,7 +102,7 @@ def test_a_hundred_thousand_samples_fit_in_little_memory(camera) -> None:
     assert many < 1.05 * exact
 
 
-def test_an_output_with_more_input_noise_has_more_variance() -> None:
+def test_predict_gives_more_variance_with_more_input_noise() -> None:
     far, squares = np.array([40.0, 160.0]), []
     for seed in range(8):
         draw = np.random.default_rng(seed)

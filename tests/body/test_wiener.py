@@ -57,7 +57,7 @@ def test_precision_is_that_of_the_chain_given_its_start(order: int) -> None:
 
 
 @pytest.mark.parametrize("order", [2, 3])
-def test_two_steps_are_one_long_step(order: int) -> None:
+def test_transition_of_two_steps_is_one_long_step(order: int) -> None:
     one, two, both = np.array([0.7]), np.array([0.4]), np.array([1.1])
     assert np.allclose(transition(order, two) @ transition(order, one), transition(order, both))
     later = transition(order, two)[0]
@@ -65,6 +65,6 @@ def test_two_steps_are_one_long_step(order: int) -> None:
     assert np.allclose(grown, covariance(order, both)[0])
 
 
-def test_an_indefinite_matrix_is_an_error() -> None:
+def test_solve_refuses_an_indefinite_matrix() -> None:
     with pytest.raises(np.linalg.LinAlgError, match="too stiff"):
         solve(banded(-np.eye(2)[None], np.zeros((0, 2, 2))), np.ones((2, 1)))

@@ -76,7 +76,7 @@ def test_unidentified_unknowns_are_named_without_a_value():
     assert "wrist: its zero cannot be separated from point's place" in text
 
 
-def test_an_offset_prior_of_zero_turns_offsets_off():
+def test_calibrate_with_a_zero_offset_prior_fixes_offsets():
     rig = robots.rig(doubt=1e-9)
     found = solve(rig, robots.seen(rig, robots.truth(rig), robots.angles(40), 0.3))
     assert np.abs(found.theta[rig.of_joints]).max() < 1e-8
@@ -121,7 +121,7 @@ def _eye_in_hand(q):
     return robots.seen(rig, rig.prior[0], q, 0.3)
 
 
-def test_a_board_on_the_hand_is_found_from_nothing_but_its_corners():
+def test_calibrate_finds_a_hand_board_from_its_corners():
     rig = board()
     theta = rig.prior[0].copy()
     theta[rig.of_joints] = np.array([0.0, 1.0, -1.5, 0.0]) * DEGREE

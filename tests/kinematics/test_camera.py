@@ -75,7 +75,7 @@ def test_one_posture_equals_many():
                 np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-7)
 
 
-def test_a_rigs_slopes_are_finite_differences():
+def test_rig_slopes_are_finite_differences():
     rig = robots.rig()
     theta, q, sight = robots.truth(rig, {"lift": 0.1}), robots.angles(5), rig.sights[0]
     found = rig.see(sight, theta, q)

@@ -29,6 +29,6 @@ def test_written_zeros_move_the_joints_exactly(tmp_path):
         np.testing.assert_allclose(new[link], old[link], atol=1e-6)
 
 
-def test_an_unknown_joint_is_named():
+def test_corrected_names_an_unknown_joint():
     with pytest.raises(ModelError, match="no joint 'knee'"):
         corrected(MIXED, "m.urdf", {"knee": 0.1})

@@ -23,7 +23,7 @@ def _posed(rig, theta, q, cov=None, camera=False):
 
 
 @pytest.mark.parametrize("thing", ["point", "board"])
-def test_the_pose_is_that_of_the_chain_and_its_covariance_that_of_small_steps(thing):
+def test_posed_equals_the_chain_with_sampled_covariance(thing):
     rig = robots.rig() if thing == "point" else robots.board()
     theta, q = robots.truth(rig, OFFSETS), robots.angles(5)
     draw = np.random.default_rng(1).normal(size=(5, 4, 4)) * 0.02
@@ -49,7 +49,7 @@ def test_the_pose_is_that_of_the_chain_and_its_covariance_that_of_small_steps(th
     np.testing.assert_allclose(spread, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_a_moving_camera_before_a_still_marker_is_the_effector():
+def test_posed_takes_a_moving_camera_as_the_effector():
     from dataclasses import replace
 
     from bodylog.kinematics.chain import between
@@ -103,7 +103,7 @@ def test_true_error_bars_have_a_nees_of_one():
         assert 93 < values[f"coverage_2sigma/effector_{part}"] < 98
 
 
-def test_a_table_of_positions_is_scored_without_rotations(tmp_path):
+def test_pose_scores_of_positions_omit_rotations(tmp_path):
     found, true = _some()
     rows = "\n".join(f"{t},{x},{y},{z}" for t, (x, y, z) in zip(true.t, true.place, strict=True))
     (tmp_path / "laser.csv").write_text("t,x,y,z\n" + rows)

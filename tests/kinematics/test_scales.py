@@ -42,7 +42,7 @@ def test_slopes_by_scales_and_readings_are_finite_differences(make):
             np.testing.assert_allclose(one, many[k, 0], rtol=1e-9, atol=1e-9)
 
 
-def test_a_poses_covariance_includes_readings_and_scales():
+def test_pose_covariance_includes_readings_and_scales():
     rig, q = scaled(robots.board()), robots.angles(3)
     theta = rig.prior[0] + np.random.default_rng(1).normal(0.0, 0.01, len(rig.prior[0]))
     base, size = based(urdf.parse(ARM, "arm.urdf"), rig, theta, {}), len(theta)
@@ -63,7 +63,7 @@ def test_a_poses_covariance_includes_readings_and_scales():
     np.testing.assert_allclose(spread, by_q[:, :, None] * by_q[:, None], atol=1e-6)
 
 
-def test_a_joint_that_reads_three_percent_too_little_is_found_and_no_other():
+def test_calibrate_finds_only_the_joint_of_wrong_scale():
     """Over 10 seeds and two joints: within 2σ, with true error bars."""
     standard, of_others = [], []
     for seed in range(10):

@@ -57,7 +57,7 @@ def test_implausible_lengths_are_named():
     assert "no" in str(robot_tree.implausible(robot)) and "origin" in str(robot_tree.implausible(robot))
 
 
-def test_a_missing_file_is_named(tmp_path):
+def test_urdf_names_a_missing_file(tmp_path):
     with pytest.raises(FormatError, match="cannot be read"):
         urdf.load(tmp_path / "none.urdf")
 
