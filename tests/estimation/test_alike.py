@@ -49,7 +49,7 @@ def test_counts_are_the_recursion():
 @pytest.mark.parametrize("speed", [0.0, 0.02, 0.5])
 @pytest.mark.parametrize("near", [0.0, alike.NEAR])
 @pytest.mark.parametrize("share", [alike.PAST, alike.WHOLE])
-def test_one_frame_after_the_other_is_the_same_as_all_at_once(world, speed, near, share):
+def test_frame_variances_one_by_one_equal_the_batch(world, speed, near, share):
     like, seen = alike.ErrorCorrelation(PROCESS, alike.reach(Local()), near, share), passed(world, 1, speed)
     together = alike.variances(like, *seen)
     memory, single, (t, places, points, _, pixel, _) = alike.LastFrame(), [], seen
@@ -60,7 +60,7 @@ def test_one_frame_after_the_other_is_the_same_as_all_at_once(world, speed, near
     np.testing.assert_allclose(together, single, rtol=1e-9)
 
 
-def test_an_arm_under_way_tells_something_new_with_every_frame(world):
+def test_frame_variances_of_a_moving_arm_are_uncorrelated(world):
     seen = passed(world, 2, 1.5)
     for share in (alike.PAST, alike.WHOLE):
         found = alike.variances(alike.ErrorCorrelation(PROCESS, np.array(0.002), alike.NEAR, share), *seen)
@@ -68,7 +68,7 @@ def test_an_arm_under_way_tells_something_new_with_every_frame(world):
         assert np.median(found / (seen[-2] + seen[-1])) == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_lasting_error_counts_as_in_a_line_through_two_frames():
+def test_error_correlation_of_a_lasting_error_equals_linear_interpolation():
     x = np.linspace(0.0, 1.0, 100_001)
     for share, (last, before) in ((alike.PAST, (1 + x, -x)), (alike.WHOLE, (x, 1 - x))):
         like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, share)
@@ -79,7 +79,7 @@ def test_a_lasting_error_counts_as_in_a_line_through_two_frames():
 
 @pytest.mark.parametrize(("share", "steady"), [(alike.PAST, np.sqrt(2.0)), (alike.WHOLE, np.sqrt(0.125))])
 @pytest.mark.parametrize("stated", [0.75, 1.0])
-def test_of_frames_that_never_change_what_they_have_in_common_is_stated(share, steady, stated):
+def test_frame_variances_of_constant_frames_keep_the_stated_share(share, steady, stated):
     dt, error, jac, many = 1e-3, 0.002, np.eye(3)[:2], 10_000
     like = alike.ErrorCorrelation(np.full(3, 0.02), np.array(0.1), 0.0, share, stated)
     t, still, models = dt * np.arange(many), np.zeros((many, 3)), np.full((many, 2), error)
@@ -98,7 +98,7 @@ def test_independent_errors_do_not_extend_the_correlation(world):
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
-def test_a_resting_arm_is_known_no_better_than_its_model(world, method):
+def test_belief_of_a_resting_arm_keeps_the_model_variance(world, method):
     inside = []
     for seed in range(30):
         drawn = world(seed, duration=6.0, speed=0.0, encoder_std=0.01, pixel_std=0.02, camera_hz=20.0)
@@ -117,7 +117,7 @@ def test_a_resting_arm_is_known_no_better_than_its_model(world, method):
     assert 0.6 < np.mean(inside) < 1.45
 
 
-def test_the_common_error_of_models_counts_once():
+def test_repeated_counts_the_models_common_error_once():
     assert alike.repeated([90], [0.8], 2) == (1.0,)
     for share in (0.3, 1.0):
         times = alike.repeated([90, 90, 50, 90], [share, share, 0.0, share], 2)
@@ -127,13 +127,13 @@ def test_the_common_error_of_models_counts_once():
     assert alike.repeated([90, 0], [1.0, 1.0], 2)[0] == 1.0
 
 
-def test_rows_that_say_the_same_span_no_further_direction():
+def test_directions_of_duplicate_models_equal_those_of_one():
     x = np.array([-0.9, -0.9, 1.0])
     assert [alike.directions(models, x) for models in ([Arm()], [Arm(), Arm()], [Arm(), Turned()])] == [2, 2, 3]
 
 
 @pytest.mark.parametrize("common", [0.0, 1.0])
-def test_a_second_camera_makes_a_smoother_surer_only_of_what_models_do_not_have_in_common(world, common):
+def test_smoother_variance_with_two_cameras_keeps_the_common_error(world, common):
     drawn = world(3, pixel_std=0.01)
     model = replace(drawn.body.senses["effector"], blur=0.2)
     object.__setattr__(model, "spread", np.full((5, 2), 1e5 if common else 1e-4))

@@ -48,7 +48,7 @@ def scored(seen, learned, name, method="laplace"):
 
 @pytest.mark.parametrize("name", ATTAINABLE)
 @pytest.mark.parametrize(("method", "column", "factor"), [("laplace", 0, 1.1), ("smoother", 1, 1.2)])
-def test_the_error_is_close_to_the_attainable(seen, learned, name, method, column, factor):
+def test_estimate_error_is_close_to_the_attainable(seen, learned, name, method, column, factor):
     found, score = scored(seen, learned, name, method)
     assert score["rmse/joint"] <= factor * ATTAINABLE[name][column]
     assert 93.0 < score["coverage_2sigma/joint"] < 97.1
@@ -56,7 +56,7 @@ def test_the_error_is_close_to_the_attainable(seen, learned, name, method, colum
     assert not found.faults
 
 
-def test_the_drifting_encoder_is_named_in_time_and_the_drift_is_gone(seen, learned):
+def test_estimate_names_and_corrects_a_drifting_encoder(seen, learned):
     recording, _ = seen("drift.mcap")
     found, _ = scored(seen, learned, "drift.mcap")
     (fault,) = found.faults
@@ -71,12 +71,12 @@ def test_the_drifting_encoder_is_named_in_time_and_the_drift_is_gone(seen, learn
 
 
 @pytest.mark.parametrize("name", ["touch.mcap", "touch_async.mcap", "reach_rosbag2"])
-def test_no_fault_is_named_where_there_is_none(seen, learned, name):
+def test_estimate_names_no_fault_in_sound_logs(seen, learned, name):
     assert not scored(seen, learned, name)[0].faults
 
 
 @pytest.mark.parametrize("name", ["reach.mcap", "drift.mcap"])
-def test_the_papers_preset_runs_to_the_end(seen, learned, name):
+def test_paper_preset_runs_to_the_end(seen, learned, name):
     _, features = seen(name)
     found = estimate(features, learned, Estimation(method="predictive-coding", preset="paper"))
     assert np.abs(found.joints.values).max() < 3.0
@@ -91,7 +91,7 @@ def displaced(found, truth, model, touches):
     return np.sqrt(np.mean((apart[0] - apart[1]) ** 2))
 
 
-def test_touch_in_time_corrects_a_wrong_start_and_touch_out_of_time_does_not(seen):
+def test_touch_corrects_a_wrong_start_only_when_synchronous(seen):
     model = body.learn([seen(name)[1] for name in ("explore.mcap", "touch.mcap")], Settings(), {}).model
     shift = 0.1
     error = {}
@@ -115,7 +115,7 @@ def test_touch_in_time_corrects_a_wrong_start_and_touch_out_of_time_does_not(see
 
 
 @pytest.mark.soak
-def test_images_alone_keep_the_arm_in_the_explored_range(seen, learned):
+def test_estimate_by_images_alone_stays_in_the_explored_range(seen, learned):
     recording, features = seen("reach.bag")
     found = estimate(features, learned, Estimation(senses=("vision",)))
     error = {s.name: s.value for s in scores(found, truth_of("reach.bag", recording), None)}

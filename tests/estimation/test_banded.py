@@ -95,7 +95,7 @@ def offset_var(walk):
 
 
 @pytest.mark.parametrize(("order", "walk"), CASES)
-def test_the_banded_solve_is_the_textbooks(order, walk):
+def test_banded_solve_equals_the_textbook(order, walk):
     world = draw(0, duration=8.0)
     motion = MotionModel(order, PROCESS[order], None if walk is None else np.maximum(walk, NEVER**2))
     log, *parts = posed(world.features, world.body, motion)
@@ -114,7 +114,7 @@ def test_the_banded_solve_is_the_textbooks(order, walk):
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
-def test_an_outlier_costs_more_the_farther_out_it_is(method):
+def test_mixture_cost_grows_with_an_outliers_distance(method):
     costs, motion = [], MotionModel(3, np.full(3, 0.3))
     for far in (0.0, 5.0, 8.0, 13.0, 21.0, 50.0, 500.0):
         world = draw(2, duration=8.0)
@@ -126,14 +126,14 @@ def test_an_outlier_costs_more_the_farther_out_it_is(method):
     assert all(before <= after + 0.01 for before, after in pairwise(costs))
 
 
-def test_the_mixture_is_a_proper_cost():
+def test_mixture_cost_is_monotonic():
     nu = np.linspace(0.0, 70.0, 20001)
     weight, cost = inlier(nu, np.ones_like(nu), 1e-5)
     assert (np.diff(cost) >= 0.0).all() and (np.diff(weight) <= 0.0).all()
     assert cost[0] == pytest.approx(0.5 * np.log(2.0 * np.pi), abs=1e-4) and weight[0] > 0.999 and weight[-1] < 1e-9
 
 
-def test_the_order_of_motion_is_chosen_by_evidence_and_stands_in_the_settings():
+def test_motion_order_is_chosen_by_evidence_and_recorded():
     orders, t = [], np.arange(0.0, 20.0, 0.01)
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -149,7 +149,7 @@ def test_the_order_of_motion_is_chosen_by_evidence_and_stands_in_the_settings():
     assert orders == [3, 2] * 3
 
 
-def test_two_estimates_are_the_same_bytes():
+def test_estimate_is_deterministic():
     world = draw(4, duration=6.0)
     asked = Estimation(method="smoother", senses=ENCODERS)
     one, two = (estimate(world.features, world.body, asked) for _ in range(2))

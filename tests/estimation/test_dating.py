@@ -40,7 +40,7 @@ def with_side(drawn):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_sound_logs_are_left_as_they_are(world, method):
+def test_delay_correction_leaves_sound_logs_unchanged(world, method):
     drawn, settings = world(0, duration=8.0), Estimation(method=method)
     auto, off = (estimate(drawn.features, drawn.body, settings, delay) for delay in ("auto", "off"))
     assert not delay_texts(auto) and "delay" not in auto.settings
@@ -51,7 +51,7 @@ def test_sound_logs_are_left_as_they_are(world, method):
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", pytest.param("ekf", marks=pytest.mark.soak)])
 @pytest.mark.parametrize("seconds", [-0.1, 0.05, pytest.param(0.2, marks=pytest.mark.soak)])
-def test_a_delay_is_reported_and_corrected(world, method, seconds):
+def test_delay_is_reported_and_corrected(world, method, seconds):
     settings, truly, found_to_be = Estimation(method=method), [], []
     for seed in range(3):
         drawn = world(seed, camera_hz=20.0)
@@ -70,7 +70,7 @@ def test_a_delay_is_reported_and_corrected(world, method, seconds):
     assert np.mean(found_to_be) == pytest.approx(np.mean(truly), abs=0.2)
 
 
-def test_each_camera_has_its_own(world):
+def test_delay_is_measured_for_each_camera(world):
     drawn = with_side(world(1, camera_hz=20.0))
     for own in ({"": 0.05, "side": -0.03}, {"": 0.0, "side": 0.04}, {"": 0.06, "side": 0.06}):
         found = estimate(delayed(drawn.features, own), drawn.body, Estimation())
@@ -109,7 +109,7 @@ def test_given_joint_delays_are_corrected(world):
     assert nees(found, drawn) == pytest.approx(sound, rel=1e-3)
 
 
-def test_a_bodys_delay_applies_to_logs_that_do_not_contradict_it(world):
+def test_body_delay_applies_to_logs_consistent_with_it(world):
     drawn, still = world(4, camera_hz=20.0), world(4, speed=0.0, duration=6.0)
     body = replace(drawn.body, provenance={"delay": {"camera": 0.05}})
     for one in (drawn, still):

@@ -35,7 +35,7 @@ def spoilt(drawn, how):
 
 
 @pytest.mark.parametrize("camera_hz, encoder_hz", [(12.0, 50.0), (30.0, 100.0), (5.0, 200.0), (30.0, 10.0)])
-def test_a_delay_has_true_error_bars(world, camera_hz, encoder_hz):
+def test_measured_delay_has_true_error_bars(world, camera_hz, encoder_hz):
     off = []
     for seed in range(40):
         drawn = world(seed, camera_hz=camera_hz, encoder_hz=encoder_hz)
@@ -48,7 +48,7 @@ def test_a_delay_has_true_error_bars(world, camera_hz, encoder_hz):
 
 @pytest.mark.parametrize("how", ["drift", "frozen", "gap", "outliers", "backwards"])
 @pytest.mark.parametrize("seconds", [0.0, 0.08])
-def test_other_faults_neither_imitate_nor_hide_a_delay(world, how, seconds):
+def test_measured_delay_is_independent_of_other_faults(world, how, seconds):
     for seed in range(4):
         found = measured_delays(delayed(spoilt(world(seed, camera_hz=30.0), how), seconds), world(seed).body)["camera"]
         assert abs(found.seconds - seconds) < 4.0 * found.std_error + 1e-3
@@ -72,12 +72,12 @@ def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.01])
-def test_an_arm_that_hardly_moves_gives_no_delay(world, speed):
+def test_measured_delay_is_absent_for_a_nearly_still_arm(world, speed):
     for seed in range(6):
         assert measured_delays(delayed(world(seed, speed=speed, camera_hz=30.0).features, 0.05), world(seed).body) == {}
 
 
-def test_short_logs_give_no_delay(world):
+def test_measured_delay_is_absent_for_short_logs(world):
     drawn = world(0)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
     none = [
@@ -100,7 +100,7 @@ def test_joints_read_in_turn_are_not_one_instant(world):
     assert measured_delays(alone, drawn.body) == {}
 
 
-def test_a_long_log_is_measured_in_the_middle_and_else_as_a_whole(world):
+def test_measured_delay_uses_the_middle_of_a_long_log(world):
     drawn = world(1, duration=100.0, camera_hz=10.0, encoder_hz=30.0)
     track = drawn.features.tracks["effector"]
     asked = measured_delays(delayed(drawn.features, 0.05), drawn.body)["camera"]
@@ -113,7 +113,7 @@ def test_a_long_log_is_measured_in_the_middle_and_else_as_a_whole(world):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("by", [-0.3, 0.3])
-def test_a_clock_step_within_the_log_is_not_a_delay(world, seed, by):
+def test_measured_delay_ignores_a_clock_step(world, seed, by):
     drawn = world(seed, camera_hz=30.0, speed=1.0)
     joints = drawn.features.joints
     stepped = replace(drawn.features, joints=replace(joints, t=np.where(joints.t > 10.0, joints.t + by, joints.t)))

@@ -17,13 +17,13 @@ def doubted(found):
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
 @pytest.mark.parametrize("seed", range(2))
-def test_a_sound_estimate_gives_no_warning(world, method, seed):
+def test_warnings_are_absent_for_a_sound_estimate(world, method, seed):
     drawn = world(seed, duration=10.0, hidden=(6.0, 8.0), blunder=0.02)
     assert not doubted(estimate(drawn.features, drawn.body, Estimation(method=method)))
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
-def test_noise_unlike_the_bodys_gives_a_warning_and_what_to_type(world, method):
+def test_warning_of_unexpected_noise_suggests_a_command(world, method):
     drawn = world(3, duration=5.0)
     quiet = replace(drawn.body.noise, encoder=tuple(v / 30.0 for v in drawn.body.noise.encoder))
     found = estimate(drawn.features, replace(drawn.body, noise=quiet), Estimation(method=method, precision="model"))
@@ -31,7 +31,7 @@ def test_noise_unlike_the_bodys_gives_a_warning_and_what_to_type(world, method):
     assert text.endswith("type --precision auto")
 
 
-def test_an_offset_with_bias_off_gives_a_warning(world):
+def test_warning_of_an_offset_with_bias_off(world):
     drawn = world(4, duration=12.0, encoder_std=0.005)
     joints = drawn.features.joints
     values = joints.values + np.outer(np.clip((joints.t - 4.0) * 0.03, 0.0, None), np.arange(3) == 0)
@@ -43,7 +43,7 @@ def test_an_offset_with_bias_off_gives_a_warning(world):
     assert any(text.startswith("effector: ") and text.endswith("type --method laplace") for text in coding)
 
 
-def test_two_publishers_on_one_topic_give_a_warning(world):
+def test_warning_of_two_publishers_on_one_topic(world):
     drawn = world(5, duration=5.0)
     joints = drawn.features.joints
     values = np.where(np.arange(len(joints.t))[:, None] % 2, 0.5, joints.values)

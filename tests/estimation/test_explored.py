@@ -51,23 +51,23 @@ def test_degrees_are_refused_where_encoders_only_give_the_start(drawn):
         estimate(read(drawn, np.rad2deg), drawn.body, Estimation(senses=("vision",)))
 
 
-def test_a_joint_about_zero_in_another_range_is_not_taken_for_degrees(world):
+def test_degrees_are_not_inferred_near_zero_in_another_range(world):
     around = Learned(samples=motion(np.arange(0.0, 40.0, 0.1), np.random.default_rng(0)) * [0.1, 1.0, 1.0])
     drawn = world(1, duration=8.0, model=around)
     (text,) = range_texts(drawn, lambda x: x)
     assert "beyond that" in text
 
 
-def test_a_joint_that_is_a_turn_off_is_named(drawn):
+def test_range_warning_names_a_joint_one_turn_off(drawn):
     (text,) = range_texts(drawn, lambda x: x + np.array([0.0, 2.0 * np.pi, 0.0]))
     assert text.startswith(f"joints: {drawn.features.joints.names[1]} reads ") and "+1 whole turns off" in text
 
 
-def test_a_joint_beyond_its_explored_range_is_named(drawn):
+def test_range_warning_names_a_joint_outside_its_explored_range(drawn):
     (text,) = range_texts(drawn, lambda x: x + np.array([0.0, 0.0, 3.0]))
     assert text.startswith(f"joints: {drawn.features.joints.names[2]} reads ") and "beyond that" in text
 
 
-def test_an_encoder_without_readings_gives_no_warning(drawn):
+def test_range_warning_is_absent_for_an_encoder_without_readings(drawn):
     silenced = lambda x: np.where([False, False, True] & (np.arange(len(x)) > 0)[:, None], np.nan, x)  # noqa: E731
     assert not range_texts(drawn, silenced)

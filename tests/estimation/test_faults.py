@@ -55,7 +55,7 @@ def drift(t, y):
         (drift, "drifting", 6.5, 2.0, 0.14),
     ],
 )
-def test_a_faulty_encoder_is_named_and_does_no_harm(world, change, kind, since, late, size):
+def test_faulty_encoder_is_named_and_replaced(world, change, kind, since, late, size):
     drawn = world(4, duration=13.0, encoder_std=0.005, pixel_std=0.5, camera_hz=30.0)
     found = estimate(spoil(drawn, change), drawn.body, Estimation())
     assert [(f.name, f.kind) for f in found.faults] == [("pan", kind)]
@@ -82,7 +82,7 @@ def test_sharp_images_do_not_hide_a_drift(world):
 
 
 @pytest.mark.parametrize("seed", [2, 3])
-def test_a_step_is_not_taken_for_blurred_images(world, seed):
+def test_encoder_step_is_not_attributed_to_blurred_images(world, seed):
     drawn = world(seed, duration=16.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     found = estimate(spoil(drawn, step), drawn.body, Estimation())
     assert [fault.name for fault in found.faults] == ["pan"]
@@ -96,7 +96,7 @@ def test_sound_encoders_have_no_fault(world, seed):
     assert not estimate(drawn.features, drawn.body, Estimation()).faults
 
 
-def test_a_frozen_encoder_costs_less_than_three_milliradians(world):
+def test_frozen_encoder_adds_less_than_three_milliradians(world):
     for joint in ("pan", "lift", "elbow"):
         drawn = world(0, duration=16.0, encoder_std=0.001, pixel_std=0.5, camera_hz=30.0)
         found = estimate(spoil(drawn, freeze, joint), drawn.body, Estimation())
@@ -104,7 +104,7 @@ def test_a_frozen_encoder_costs_less_than_three_milliradians(world):
         assert np.sqrt(np.mean((found.joints.values - drawn.truth.values) ** 2)) < 3e-3
 
 
-def test_an_ideal_encoder_at_rest_is_not_frozen():
+def test_frozen_ignores_an_ideal_encoder_at_rest():
     t = np.arange(0.0, 10.0, 0.02)
     smooth = np.where(t < 5.0, np.sin(t), np.sin(5.0))
     assert frozen(t, smooth) == []
@@ -113,7 +113,7 @@ def test_an_ideal_encoder_at_rest_is_not_frozen():
     assert frozen(t, noisy) == [(201, 260)]
 
 
-def test_a_single_spike_is_no_jump():
+def test_jumps_ignores_a_single_spike():
     y = np.random.default_rng(1).normal(0, 0.01, 400)
     t = np.arange(400) / 50.0
     y[200] += 1.0
@@ -123,7 +123,7 @@ def test_a_single_spike_is_no_jump():
     assert at == 250 and size == pytest.approx(0.5, abs=0.05)
 
 
-def test_a_new_angle_after_a_gap_is_no_jump():
+def test_jumps_ignores_a_new_angle_after_a_gap():
     t = np.arange(0.0, 20.0, 0.02)
     y = np.sin(t) + np.random.default_rng(2).normal(0, 0.01, len(t))
     read = (t < 6.0) | (t > 9.0)
@@ -131,7 +131,7 @@ def test_a_new_angle_after_a_gap_is_no_jump():
     assert jumps(t, np.where(read, y, np.nan)) == []
 
 
-def test_the_steps_of_a_coarse_encoder_are_no_jumps():
+def test_jumps_ignores_the_steps_of_a_coarse_encoder():
     t = np.arange(0.0, 20.0, 0.02)
     y = np.round(0.2 * np.sin(t / 2) / 0.01) * 0.01
     assert np.mean(np.diff(y) == 0.0) > 0.5
@@ -149,7 +149,7 @@ def test_offsets_on_request_are_reported_for_every_joint(world):
     assert estimate(drawn.features, drawn.body, Estimation(bias="off")).bias is None
 
 
-def test_an_encoder_that_hunts_by_steps_and_then_rests_is_not_frozen():
+def test_frozen_ignores_an_encoder_that_dithers_before_resting():
     rng, t = np.random.default_rng(3), np.arange(0.0, 20.0, 0.02)
     angle = 0.3 * np.sin(np.minimum(t, 8.0)) + rng.normal(0, 1e-3, len(t))
     y = np.round(angle / 1.5e-3) * 1.5e-3
@@ -157,7 +157,7 @@ def test_an_encoder_that_hunts_by_steps_and_then_rests_is_not_frozen():
     assert frozen(t, y) == []
 
 
-def test_a_joint_that_moves_fast_does_not_jump():
+def test_jumps_ignores_a_fast_joint():
     t = np.arange(0.0, 10.0, 0.055)
     servo = np.where(t < 5.0, 0.3, 0.35) + 0.2 * (t > 7.0)
     assert jumps(t, np.round(servo / 1.5e-3) * 1.5e-3) == []
@@ -174,7 +174,7 @@ def test_whole_turns_are_unwrapped_and_are_no_jumps(world):
     assert not estimate(features, sound.body, Estimation()).faults
 
 
-def test_an_encoder_with_rare_readings_is_not_dead():
+def test_silent_since_ignores_an_encoder_with_rare_readings():
     t = np.arange(0.0, 10.0, 0.02)
     seldom = np.where(np.arange(len(t)) % 40 == 0, 0.1, np.nan)
     seldom[t > 8.9] = np.nan
@@ -194,7 +194,7 @@ def test_images_separate_a_frozen_encoder_from_a_coarse_one_at_rest(moves, joint
 
 
 @pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])
-def test_a_constant_offset_is_found_by_the_whole_log(world, joint):
+def test_constant_offset_is_found_over_the_whole_log(world, joint):
     drawn = world(0, duration=16.0, encoder_std=0.01)
     (fault,) = estimate(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, Estimation()).faults
     assert fault.name == joint and fault.size == pytest.approx(0.0873, abs=0.004)

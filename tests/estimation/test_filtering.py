@@ -20,7 +20,7 @@ def rmse(found, world):
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
 @pytest.mark.parametrize(("encoder_hz", "duration"), [(50.0, 6.0), (400.0, 6.0), (400.0, 16.0)])
-def test_on_a_linear_body_it_is_the_kalman_filter(world, reference, linear_model, seed, encoder_hz, duration):
+def test_filter_of_a_linear_body_is_the_kalman_filter(world, reference, linear_model, seed, encoder_hz, duration):
     drawn = world(seed, duration=duration, encoder_hz=encoder_hz, model=linear_model, hidden=(2.0, 3.0))
     found = estimate(drawn.features, drawn.body, replace(MODEL, rate=None))
     expected = reference(drawn, np.full(3, 0.3), np.full(3, 0.02**2), 0.4**2)
@@ -43,7 +43,7 @@ def test_fast_encoders_are_all_used_but_written_at_100_hz(world, linear_model):
 
 
 @pytest.mark.parametrize("rate", [10.0, 200.0])
-def test_the_rate_is_the_settings(world, rate):
+def test_estimate_rate_is_the_configured_one(world, rate):
     drawn = world(0, duration=3.0)
     found = estimate(drawn.features, drawn.body, replace(MODEL, rate=rate))
     np.testing.assert_allclose(np.diff(found.joints.t), 1 / rate)
@@ -62,7 +62,7 @@ def test_order_of_simultaneous_senses_does_not_matter(world):
     np.testing.assert_allclose(one.cov, two.cov, atol=1e-12, rtol=0)
 
 
-def test_a_still_arm_states_the_noise_that_is_let_through_and_no_motion(world, swept):
+def test_filter_of_a_still_arm_has_noise_without_motion(world, swept):
     ratios, shares = [], []
     for seed in range(6):
         drawn = world(seed, speed=0.0)
@@ -73,7 +73,7 @@ def test_a_still_arm_states_the_noise_that_is_let_through_and_no_motion(world, s
     assert 0.75 <= np.mean(shares) < 0.85
 
 
-def test_a_mistaken_blob_does_no_harm(world):
+def test_filter_rejects_a_mistaken_blob(world):
     worse = []
     for seed in range(4):
         clean, spoilt = (world(seed, duration=10.0, blunder=share) for share in (0.0, 0.06))
@@ -118,7 +118,7 @@ def test_predictions_and_errors_are_standardised(world):
     assert 0.9 < np.nanmean(found.errors["encoders"].values ** 2) < 1.1
 
 
-def test_the_extended_filter_is_close_but_not_the_same(world):
+def test_extended_filter_is_close_but_different(world):
     drawn = world(0)
     iterated, once = (estimate(drawn.features, drawn.body, replace(MODEL, method=m)) for m in ("laplace", "ekf"))
     apart = np.abs(iterated.joints.values - once.joints.values).max()
@@ -146,7 +146,7 @@ def test_nan_and_backward_times_are_skipped_and_counted(world):
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
-def test_a_body_that_thinks_its_encoders_far_too_quiet_still_gives_a_belief(world, method):
+def test_filter_tolerates_far_too_small_encoder_noise(world, method):
     drawn = world(0, duration=6.0, pixel_std=0.07)
     body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=(9e-6,) * 3, process=(0.06,) * 3))
     found = estimate(drawn.features, body, Estimation(method=method, precision="model"))

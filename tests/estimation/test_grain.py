@@ -10,7 +10,7 @@ from bodylog.estimation.noise.quantisation import dithered, shared_variance, ste
 from bodylog.settings import Estimation
 
 
-def test_the_step_is_found_where_there_is_one():
+def test_step_size_is_found_only_for_coarse_encoders():
     rng = np.random.default_rng(0)
     y = np.sin(np.arange(0.0, 10.0, 0.02))
     assert (
@@ -59,7 +59,7 @@ def test_error_bars_are_true_for_coarse_encoders(world, method, step, speed, see
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
-def test_a_joint_that_reads_one_value_is_no_surer_than_one_reading(world, method):
+def test_belief_of_constant_readings_has_true_error_bars(world, method):
     drawn = world(1, duration=12.0, encoder_std=0.0, speed=0.0)
     joints = drawn.features.joints
     off = np.array([0.004, -0.003, 0.002])

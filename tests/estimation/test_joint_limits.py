@@ -27,13 +27,13 @@ def _texts(joints, values):
     return [(finding.severity, finding.text) for finding in limit_findings(moved, LIMITS, "arm.urdf")]
 
 
-def test_a_joint_that_keeps_its_limits_is_not_named(healthy):
+def test_limit_findings_omit_a_joint_within_its_limits(healthy):
     assert _texts(healthy, healthy.values) == []
     assert _texts(healthy, np.full_like(healthy.values, np.nan)) == []
     assert _texts(healthy, healthy.values + np.array([0.015, 0.0, 0.0, 0.0])) == []  # 2.005 rad: the rounding of 2.00
 
 
-def test_a_joint_outside_is_named_with_how_often_and_by_how_much(healthy):
+def test_limit_findings_give_count_and_excess(healthy):
     values = healthy.values.copy()
     values[100:150, 2] = 2.25
     ((severity, text),) = _texts(healthy, values)
@@ -41,7 +41,7 @@ def test_a_joint_outside_is_named_with_how_often_and_by_how_much(healthy):
     assert "by up to 0.25 rad, first at 1.000 s" in text
 
 
-def test_one_wild_reading_does_not_hide_what_another_joint_does(healthy):
+def test_limit_findings_are_robust_to_one_outlier(healthy):
     values = healthy.values.copy()
     values[7, 0] = 1e6
     values[100:150, 2] = 2.25
@@ -54,7 +54,7 @@ def test_degrees_and_ticks_give_no_warning(healthy, factor):
     assert severity == "info" and "other units or zeros" in text
 
 
-def test_a_gripper_in_percent_gives_no_warning_and_hides_none(healthy):
+def test_limit_findings_ignore_a_gripper_in_percent(healthy):
     values = healthy.values * [1.0, 1.0, 1.0, 2500.0]
     ((severity, text),) = _texts(healthy, values)
     assert severity == "info" and "grip: " in text and "pan" not in text

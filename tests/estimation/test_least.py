@@ -36,7 +36,7 @@ def errors(drawn):
 
 
 @pytest.mark.parametrize("power", least.POWERS)
-def test_of_motion_that_much_is_left_of_the_steady_variance(power):
+def test_smoother_process_constants_follow_from_the_spectrum(power):
     u = np.exp(np.linspace(-10.0, 8.0, 100_001))
 
     def whole(y):
@@ -59,7 +59,7 @@ def test_of_motion_that_much_is_left_of_the_steady_variance(power):
 
 
 @pytest.mark.parametrize(("moved", "gain"), [("sines", 0.95), ("white", 1.04)])
-def test_a_smoother_errs_less_than_by_greatest_evidence_and_says_how_much(world, monkeypatch, swept, moved, gain):
+def test_smoother_process_beats_maximum_evidence_with_true_error_bars(world, monkeypatch, swept, moved, gain):
     if moved == "white":
         monkeypatch.setattr(conftest, "motion", white)
     drawn = [world(seed, duration=30.0) for seed in range(4)]

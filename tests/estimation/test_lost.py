@@ -44,7 +44,7 @@ def judged(features, drawn, since, **settings):
 
 
 @pytest.mark.parametrize(("seed", "silent"), [(0, "elbow"), (4, "lift"), (4, "elbow")])
-def test_a_sound_encoder_that_was_silent_for_a_second_has_not_lost_the_belief(world, seed, silent):
+def test_belief_survives_a_second_of_encoder_silence(world, seed, silent):
     """The others, which never fell silent, speak against starting again from where this one reads."""
     drawn = world(seed, duration=12.0)
     *_, lost = judged(muted(drawn.features, 6.0, 7.0, (silent,)), drawn, 6.0, precision="model", bias="off")
@@ -54,7 +54,7 @@ def test_a_sound_encoder_that_was_silent_for_a_second_has_not_lost_the_belief(wo
 @pytest.mark.soak
 @pytest.mark.parametrize("length", [1.0, 3.0])
 @pytest.mark.parametrize("seed", range(6))
-def test_no_sound_silence_of_a_single_encoder_is_called_lost(world, seed, length):
+def test_belief_is_not_lost_when_one_encoder_pauses(world, seed, length):
     drawn = world(seed, duration=12.0)
     for silent in ALL:
         muffled = muted(drawn.features, 6.0, 6.0 + length, (silent,))
@@ -63,7 +63,7 @@ def test_no_sound_silence_of_a_single_encoder_is_called_lost(world, seed, length
 
 @pytest.mark.parametrize("method", ["laplace", "ekf"])
 @pytest.mark.parametrize("seed", seeds(1, 3))
-def test_it_is_found_again_by_the_first_word_after_a_silence(world, seed, method):
+def test_lost_belief_recovers_at_the_first_reading(world, seed, method):
     drawn = world(seed, duration=15.0)
     rmse, nees, faults, lost = judged(muted(drawn.features, 6.0, 11.0), drawn, 11.0, method=method)
     assert rmse < 0.01 and nees < 1.5 and not faults
@@ -71,7 +71,7 @@ def test_it_is_found_again_by_the_first_word_after_a_silence(world, seed, method
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
-def test_the_smoothed_path_is_found_again_too(world, seed):
+def test_smoothed_path_recovers_after_a_silence(world, seed):
     drawn = world(seed, duration=15.0)
     rmse, nees, faults, _ = judged(muted(drawn.features, 6.0, 11.0), drawn, 11.0, method="smoother")
     assert rmse < 0.005 and nees < 1.5 and not faults
@@ -102,7 +102,7 @@ def test_error_bars_hold_in_silences_on_average(world, silence):
 
 
 @pytest.mark.parametrize("solve", [gauss_newton.solve, smoother.solve])
-def test_no_information_crosses_a_full_reset(world, linear_model, solve):
+def test_full_reset_separates_what_precedes_and_follows(world, linear_model, solve):
     drawn = world(0, duration=9.0, model=linear_model)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
 
@@ -126,7 +126,7 @@ def test_no_information_crosses_a_full_reset(world, linear_model, solve):
 
 
 @pytest.mark.parametrize("precision", ["auto", "model"])
-def test_a_wrong_start_before_any_word_does_no_harm_after_it(world, precision):
+def test_wrong_start_is_corrected_by_the_first_reading(world, precision):
     for seed, size in enumerate((0.5, -1.0, 2.0)):
         drawn = world(seed, duration=8.0)
         start = tuple(drawn.truth.values[0] + size)
@@ -136,7 +136,7 @@ def test_a_wrong_start_before_any_word_does_no_harm_after_it(world, precision):
 
 
 @pytest.mark.parametrize("row", [0, 1, 2])
-def test_a_mistaken_first_reading_is_overruled_by_the_next(world, row):
+def test_mistaken_first_reading_is_corrected_by_the_next(world, row):
     for seed, joint in enumerate(ALL):
         drawn = world(seed, duration=6.0, encoder_std=0.01)
         features = shifted(drawn.features, 1.0, np.arange(len(drawn.truth.t)) == row, joint)
@@ -146,7 +146,7 @@ def test_a_mistaken_first_reading_is_overruled_by_the_next(world, row):
 
 @pytest.mark.parametrize("size", [0.1, *(pytest.param(size, marks=pytest.mark.soak) for size in (0.3, 1.0))])
 @pytest.mark.parametrize("seed", seeds(1, 2))
-def test_an_encoder_that_lies_after_a_silence_is_not_followed(world, size, seed):
+def test_belief_rejects_a_faulty_encoder_after_a_silence(world, size, seed):
     drawn = world(seed, duration=14.0, encoder_std=0.01)
     features = muted(drawn.features, 6.0, 9.0, ("pan",))
     features = shifted(features, size, features.joints.t >= 9.0, "pan")
@@ -169,7 +169,7 @@ def test_pictures_of_something_else_lose_the_arm_only_until_they_are_right(world
 
 @pytest.mark.parametrize("encoder_hz", [50.0, *(pytest.param(hz, marks=pytest.mark.soak) for hz in (10.0, 400.0))])
 @pytest.mark.parametrize("seed", seeds(1, 3))
-def test_a_belief_that_is_not_lost_is_left_alone(world, encoder_hz, seed):
+def test_belief_that_is_not_lost_is_unchanged(world, encoder_hz, seed):
     drawn = world(seed, duration=8.0, encoder_hz=encoder_hz, hidden=(3.0, 4.5), blunder=0.05)
     assert not judged(drawn.features, drawn, 0.0)[3]
     assert not judged(muted(drawn.features, 4.0, 4.8), drawn, 0.0)[3]
@@ -180,7 +180,7 @@ def test_a_belief_that_is_not_lost_is_left_alone(world, encoder_hz, seed):
 @pytest.mark.parametrize("names", [ALL, ("pan", "lift"), ("pan",)])
 @pytest.mark.parametrize("silence", [1.0, 2.0, 5.0, 10.0])
 @pytest.mark.parametrize("encoder_std", [0.001, 0.006, 0.02])
-def test_it_is_found_again_in_every_world(world, names, silence, encoder_std):
+def test_lost_belief_recovers_in_all_worlds(world, names, silence, encoder_std):
     worst, ratios = [], []
     for seed in range(10):
         drawn = world(seed, duration=10.0 + silence, encoder_std=encoder_std)
@@ -192,7 +192,7 @@ def test_it_is_found_again_in_every_world(world, names, silence, encoder_std):
     assert np.sort(worst)[-2] < 1.2 and max(worst) < 10.0 and 0.8 < np.mean(ratios) < 1.3
 
 
-def test_a_pixel_factor_below_one_leaves_variances_positive(world):
+def test_pixel_factor_below_one_keeps_variances_positive(world):
     drawn = world(9, duration=11.0, encoder_std=0.006)
     rmse, _, faults, _ = judged(muted(drawn.features, 6.0, 7.0, ("pan", "lift")), drawn, 7.0)
     assert rmse < 0.006 and not faults
@@ -212,7 +212,7 @@ def paused(features, since, gap):
 
 @pytest.mark.parametrize("gap", [3600.0, 1e7, 1.7e9])
 @pytest.mark.parametrize("method", ["laplace", "ekf", "smoother"])
-def test_nothing_crosses_a_pause_however_long(world, swept, method, gap):
+def test_pause_of_any_length_separates_its_sides(world, swept, method, gap):
     drawn = world(3, duration=8.0)
     t = drawn.features.joints.t
     found = estimate(paused(drawn.features, 4.0, gap), drawn.body, Estimation(method=method))
@@ -224,7 +224,7 @@ def test_nothing_crosses_a_pause_however_long(world, swept, method, gap):
     assert rms < 1.2 * usual
 
 
-def test_a_grid_that_spans_only_silence_is_refused(world):
+def test_estimate_refuses_a_grid_of_mostly_silence(world):
     drawn = world(3, duration=8.0)
     with pytest.raises(UsageError, match=r"rate: 50 Hz found, 5e\+08 instants for .* stamps, none .*; type --rate"):
         estimate(paused(drawn.features, 4.0, 1e7), drawn.body, Estimation(rate=50.0))

@@ -38,7 +38,7 @@ def cameras(features, body):
 @pytest.mark.parametrize("px", [5.0, 30.0])
 @pytest.mark.parametrize("moves", ["reach", "sines"])
 @pytest.mark.parametrize("seed", seeds(3, 20))
-def test_a_moved_camera_is_found_with_its_time_and_size(moves, px, seed):
+def test_moved_camera_is_found_with_time_and_size(moves, px, seed):
     world = drawn(100 + seed, Drawn(moves, noise=0.01))
     (fault,) = cameras(moved(world.features, px, seed), world.body)
     assert (fault.name, fault.kind, fault.unit) == ("camera", "displaced", "px")
@@ -47,7 +47,7 @@ def test_a_moved_camera_is_found_with_its_time_and_size(moves, px, seed):
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
 @pytest.mark.parametrize("px", [4.0, 20.0])
-def test_the_estimate_is_as_good_as_with_a_fixed_camera(method, px):
+def test_moved_camera_does_not_degrade_the_estimate(method, px):
     world = drawn(101, Drawn("reach", noise=0.01))
     found, sound = (
         estimate(features, world.body, Estimation(method=method))
@@ -63,7 +63,7 @@ def test_the_estimate_is_as_good_as_with_a_fixed_camera(method, px):
 
 @pytest.mark.parametrize("moves", MOTIONS)
 @pytest.mark.parametrize("seed", seeds(3, 20))
-def test_neither_a_healthy_log_nor_an_encoder_fault_moves_the_camera(moves, seed):
+def test_moved_camera_is_absent_in_logs_without_one(moves, seed):
     world = drawn(300 + seed, Drawn(moves, noise=(0.01, 0.002, 0.0005)[seed % 3]))
     t = world.features.joints.t
     off = np.outer(np.clip(0.02 * (t - 5.0), 0.0, None), np.arange(3) == seed % 3)
@@ -73,7 +73,7 @@ def test_neither_a_healthy_log_nor_an_encoder_fault_moves_the_camera(moves, seed
         assert not cameras(features, world.body)
 
 
-def test_of_two_cameras_the_one_that_moved_is_named():
+def test_moved_camera_is_named_among_two():
     world = drawn(102, Drawn("reach", noise=0.01))
     names = ("effector", "side/effector")
     track = world.features.tracks["effector"]
@@ -84,13 +84,13 @@ def test_of_two_cameras_the_one_that_moved_is_named():
     assert (fault.name, fault.kind) == ("side", "displaced")
 
 
-def test_a_camera_may_move_twice():
+def test_moved_camera_is_found_for_two_moves():
     world = drawn(103, Drawn("sines", noise=0.01, duration=24.0))
     faults = cameras(moved(moved(world.features, 12.0, 0.3), 9.0, 2.0, since=16.0), world.body)
     assert sorted(round(fault.since) for fault in faults) == [8, 16]
 
 
-def test_the_evidence_is_reported_and_a_wrapped_model_keeps_its_attributes():
+def test_inflated_variance_keeps_attributes_and_evidence_is_reported():
     world = drawn(104, Drawn("reach", noise=0.01))
     verdict = detect(screened(world.features, world.body, Estimation()), world.body)
     ((hypothesis),) = verdict.hypotheses

@@ -41,7 +41,7 @@ def irregular(request):
     return t, readings, var, (y, jac, noise), pictures, walk
 
 
-def test_a_scan_of_blocks_is_the_scan_of_their_readings(irregular):
+def test_scan_of_blocks_equals_scan_of_their_readings(irregular):
     t, readings, var, lines, pictures, walk = irregular
     dynamics = Dynamics(np.array([0.3, 0.1, 0.5]), walk)
     k = dynamics.size
@@ -126,7 +126,7 @@ def test_pooling_changes_nothing(world, monkeypatch, method, seed):
         np.testing.assert_allclose(pooled.errors[sense].values, single.errors[sense].values, atol=3e-6, rtol=0)
 
 
-def test_a_spike_is_not_pooled_and_at_most_MOST_readings_are():
+def test_pooling_excludes_a_spike_and_keeps_the_maximum():
     rng = np.random.default_rng(0)
     readings = np.sin(np.arange(400) / 50)[:, None] + rng.normal(0, 0.01, (400, 1))
     readings[123] += 0.1

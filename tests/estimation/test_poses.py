@@ -57,7 +57,7 @@ def _nees(found, q):
     return float(np.einsum("pi,pij,pj->p", error, np.linalg.inv(found.cov), error).mean() / q.shape[1])
 
 
-def test_a_body_is_learned_from_poses_and_predicts_others(learned):
+def test_learn_from_poses_predicts_other_poses(learned):
     features, q = _poses(1)
     for name, sense in learned.senses.items():
         mean, _, var = sense.predict(q)
@@ -76,7 +76,7 @@ def test_noisy_encoders_are_weighted_by_their_noise(learned, seed):
 
 
 @pytest.mark.parametrize(("joint", "size"), [(0, 0.05), (1, -0.03), (2, 0.05)])
-def test_an_offset_in_all_poses_is_named_and_removed(learned, joint, size):
+def test_offset_in_all_poses_is_named_and_removed(learned, joint, size):
     offset = tuple(size if k == joint else 0.0 for k in range(3))
     features, q = _poses(7, offset=offset)
     found = estimate(features, learned, Estimation())
@@ -99,7 +99,7 @@ def test_places_alone_find_the_pose(learned):
     assert np.sqrt(np.mean((found.joints.values - q) ** 2)) < 0.01 and 0.6 < _nees(found, q) < 1.6
 
 
-def test_one_wrong_place_moves_no_pose(learned):
+def test_pose_is_robust_to_one_wrong_sighting(learned):
     features, _ = _poses(21, noise=0.01)
     track = features.tracks["left/hand_marker"]
     wrong = track.values.copy()
@@ -111,7 +111,7 @@ def test_one_wrong_place_moves_no_pose(learned):
     assert np.abs(found.errors["left/hand_marker"].values[5]).max() > 20.0
 
 
-def test_the_order_of_poses_is_no_matter(learned):
+def test_poses_are_independent_of_their_order(learned):
     features, _ = _poses(22, noise=0.02)
     order = np.random.default_rng(0).permutation(POSES)
     tracks = {n: replace(s, values=s.values[order]) for n, s in features.tracks.items()}
@@ -120,7 +120,7 @@ def test_the_order_of_poses_is_no_matter(learned):
     np.testing.assert_allclose(two.joints.values, one.joints.values[order], atol=2e-6)
 
 
-def test_a_pose_is_found_from_beside_it(learned):
+def test_descended_pose_has_the_lowest_cost_nearby(learned):
     features, _ = _poses(23, noise=0.01)
     from bodylog.estimation.faults.screening import screened
 
@@ -134,7 +134,7 @@ def test_a_pose_is_found_from_beside_it(learned):
             np.testing.assert_allclose(beside.x, found.x, atol=2e-6)
 
 
-def test_the_evidence_of_noise_and_offsets_has_the_gradient_it_says():
+def test_pose_evidence_gradient_is_its_finite_difference():
     draw = np.random.default_rng(3)
     jac = draw.normal(0, 200, (20, 6, 3))
     rows = _Rows(draw.normal(0, 2, (20, 6)), jac, np.where(draw.random((20, 6)) < 0.2, np.inf, 0.3))

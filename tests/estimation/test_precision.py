@@ -43,7 +43,7 @@ def test_noise_and_motion_are_separated(noise, process, jitter):
     assert np.exp(np.mean([np.log(f[1]) for f in found])) == pytest.approx(process, rel=0.35)
 
 
-def test_a_driver_a_thousand_times_a_second_tells_them_apart_as_well():
+def test_noise_and_motion_are_separated_at_1000_hz():
     t = np.arange(0.0, 20.0, 0.001)
     found = np.array([likeliest(t, white(seed, 4e-4, 0.01, t)) for seed in range(3)])
     assert found[:, 0].mean() == pytest.approx(4e-4, rel=0.05)
@@ -53,7 +53,7 @@ def test_a_driver_a_thousand_times_a_second_tells_them_apart_as_well():
     np.testing.assert_allclose(likeliest(t, y + 0.5 * (t > 4.0)), likeliest(t, y), rtol=0.3)
 
 
-def test_a_jump_does_not_pass_for_motion():
+def test_process_variance_ignores_a_jump():
     t = np.arange(0.0, 30.0, 0.02)
     y = white(0, 1e-4, 0.05, t)
     plain = likeliest(t, y)
@@ -69,7 +69,7 @@ def test_joints_learned_side_by_side_are_as_learned_alone():
     np.testing.assert_allclose(together, [likeliest(*piece) for piece in pieces], rtol=1e-9)
 
 
-def test_a_constant_or_silent_joint_keeps_what_the_body_says_of_one_reading():
+def test_encoder_noise_of_constant_joints_is_the_bodys():
     t = np.arange(0.0, 4.0, 0.02)
     values = np.stack([np.zeros_like(t), np.full_like(t, np.nan)], axis=1)
     given = np.array([1e-4, 1e-4]), np.array([0.2, 0.3])
@@ -81,7 +81,7 @@ def test_a_constant_or_silent_joint_keeps_what_the_body_says_of_one_reading():
 
 
 @pytest.mark.parametrize("std", [0.003, 0.02])
-def test_the_log_at_hand_says_how_noisy_its_encoders_are(world, std):
+def test_encoder_noise_is_learned_from_the_log(world, std):
     drawn = world(0, encoder_std=std)
     found = estimate(drawn.features, drawn.body, Estimation())
     np.testing.assert_allclose(np.sqrt(found.settings["encoder"]), std, rtol=0.1)
@@ -95,7 +95,7 @@ def test_pixels_noisier_than_claimed_are_noticed(world):
     assert 5.0 < found.settings["scale"]["effector"] < 14.0
 
 
-def test_the_bodys_own_and_the_papers_variances(world):
+def test_variances_of_body_and_paper_presets_are_used(world):
     drawn = world(0, duration=3.0)
     own = estimate(drawn.features, drawn.body, Estimation(precision="model")).settings
     assert own["encoder"] == pytest.approx([4e-4] * 3) and own["process"] == pytest.approx([0.3] * 3)
@@ -103,7 +103,7 @@ def test_the_bodys_own_and_the_papers_variances(world):
     assert paper["encoder"] == [1.0] * 3
 
 
-def test_a_joint_undetermined_by_images_keeps_its_encoders_process_variance(world, monkeypatch, swept):
+def test_process_variance_of_undetermined_joints_is_the_encoders(world, monkeypatch, swept):
     monkeypatch.setattr(evidence_search, "least", lambda part, warned: (part.precision.process, 1.0))
     blind = conftest.Linear(np.array([[300.0, 0.0, 0.0], [0.0, 250.0, 0.0]]), np.array([160.0, 120.0]))
     for seed in range(3):

@@ -44,7 +44,7 @@ def still(drawn):
 
 
 @pytest.mark.parametrize("settings", [replace(DESCENT, preset="paper"), replace(DESCENT, precision="model")])
-def test_a_wrong_start_is_forgotten_when_the_arm_is_still(world, settings):
+def test_descent_corrects_a_wrong_start_of_a_still_arm(world, settings):
     features, x = still(world(0, duration=30.0))
     found = estimate(features, world(0).body, replace(settings, start=tuple(x + 0.1)))
     assert np.abs(found.joints.values[0] - x).max() > 0.01
@@ -76,7 +76,7 @@ def test_explicit_steps_are_stable_just_below_the_named_step_and_not_above(world
         assert bool(np.isfinite(found).all() and np.abs(found[-1] - x).max() < 0.01) is holds
 
 
-def test_a_step_too_long_is_refused_by_naming_the_longest(world):
+def test_descent_refuses_long_steps_and_names_the_longest(world):
     drawn = world(0, duration=10.0)
     with pytest.raises(UsageError, match=r"largest stable Δt is \S+ s; type --rate \S+ or --step implicit"):
         estimate(drawn.features, drawn.body, replace(DESCENT, step="explicit"))
@@ -97,7 +97,7 @@ def test_a_step_too_long_is_refused_by_naming_the_longest(world):
         ({"preset": "paper"}, 1.0),
     ],
 )
-def test_the_rate_that_is_named_is_stable_and_not_warned_of_again(world, seed, over, rate):
+def test_suggested_rate_is_stable_without_a_warning(world, seed, over, rate):
     drawn = world(seed, duration=0.5)
     settings = replace(DESCENT, step="explicit", **over)
 
@@ -112,7 +112,7 @@ def test_the_rate_that_is_named_is_stable_and_not_warned_of_again(world, seed, o
     assert np.abs(found - drawn.truth.values[0]).max() < 0.5
 
 
-def test_the_literal_touch_gradient_is_the_derivative(world):
+def test_literal_touch_gradient_is_the_derivative(world):
     drawn = world(0, duration=1.0)
     model, x = drawn.body.senses["effector"], drawn.truth.values[0]
     hand = model.predict(x[None])[0] + 5.0
@@ -125,7 +125,7 @@ def test_the_literal_touch_gradient_is_the_derivative(world):
     assert 0 < e < 0.72
 
 
-def test_a_non_linear_encoder_is_matched_in_its_own_units(world):
+def test_descent_matches_a_nonlinear_encoder_in_its_units(world):
     """s_p = x²: the belief settles where x² is right, and cannot know the sign."""
 
     class Square:
@@ -196,13 +196,13 @@ def test_methods_the_paper_has_not_refuse_its_preset(world, method):
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.5, 1.5])
-def test_an_arm_that_moves_is_no_cause_for_a_warning(world, speed):
+def test_warning_is_absent_for_a_moving_arm(world, speed):
     for seed in range(2):
         drawn = world(seed, duration=10.0, speed=speed, encoder_std=0.01)
         assert not estimate(drawn.features, drawn.body, DESCENT).findings
 
 
-def test_an_encoder_that_lies_is_cause_for_one(world):
+def test_warning_is_given_for_a_faulty_encoder(world):
     for seed in range(2):
         drawn = world(seed, duration=14.0, encoder_std=0.005, camera_hz=30.0)
         joints = drawn.features.joints

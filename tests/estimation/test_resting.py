@@ -16,7 +16,7 @@ from tests.seeds import seeds
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("step", [1e-6, 1.5e-3])
-def test_every_method_gives_numbers_for_an_arm_that_mostly_rests(method, step):
+def test_methods_give_finite_results_for_a_mostly_resting_arm(method, step):
     world = drawn(0, Drawn("reach", step, encoder_hz=100.0))
     assert np.mean(np.diff(world.features.joints.values, axis=0) == 0.0) > 0.4
     found = estimate(world.features, world.body, Estimation(method=method))
@@ -28,7 +28,7 @@ def test_every_method_gives_numbers_for_an_arm_that_mostly_rests(method, step):
 @pytest.mark.parametrize(("step", "noise"), [(1e-6, 0.0), (1e-4, 0.0), (1.5e-3, 0.0), (0.01, 0.0), (1.5e-3, 1e-3)])
 @pytest.mark.parametrize("moves", ["slow", "sines", "reach"])
 @pytest.mark.parametrize("seed", seeds(1, 5))
-def test_a_quantised_encoder_has_the_noise_of_its_step(method, senses, step, noise, moves, seed):
+def test_encoder_noise_of_quantised_readings_is_the_step(method, senses, step, noise, moves, seed):
     world = drawn(seed, Drawn(moves, step, noise))
     found = estimate(world.features, world.body, Estimation(method=method, senses=senses))
     error, nees = judged(world, found.joints, found.cov)
@@ -38,7 +38,7 @@ def test_a_quantised_encoder_has_the_noise_of_its_step(method, senses, step, noi
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
-def test_a_joint_that_starts_after_a_long_rest_is_followed(method):
+def test_estimate_follows_a_joint_after_a_long_rest(method):
     world = drawn(0, Drawn("reach", 1e-4))
     found = estimate(world.features, world.body, Estimation(method=method, senses=("encoders",)))
     truth = np.stack([np.interp(found.joints.t, world.truth.t, column) for column in world.truth.values.T], axis=1)

@@ -27,14 +27,14 @@ def test_joints_are_matched_by_name_whatever_their_order(world):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_model_of_another_robot_names_both(world, method):
+def test_estimate_of_another_robots_log_names_both_robots(world, method):
     drawn = world(0, duration=2.0)
     with pytest.raises(ModelError, match=r"(?s)gripper.*elbow, pan, lift") as caught:
         estimate(drawn.features, replace(drawn.body, joints=("pan", "lift", "gripper")), Estimation(method=method))
     assert caught.value.exit_code == 65 and "\n" not in str(caught.value)
 
 
-def test_a_named_sense_without_sightings_is_an_error_and_a_guessed_one_a_finding(world):
+def test_sense_without_sightings_is_refused_only_if_named(world):
     drawn = world(0, duration=3.0)
     with pytest.raises(EvidenceError, match=r"vision: requested.*0 of 36 used, 36 out of view"):
         estimate(unseen(drawn), drawn.body, Estimation(senses=("encoders", "vision")))
@@ -48,14 +48,14 @@ def test_selecting_touch_without_skin_is_an_error(world):
         estimate(drawn.features, drawn.body, Estimation(senses=("encoders", "touch")))
 
 
-def test_an_unknown_sense_names_those_there_are(world):
+def test_unknown_sense_error_lists_the_available(world):
     drawn = world(0, duration=2.0)
     possible = "encoders, vision, touch, effector, elbow, lift, pan"
     with pytest.raises(UsageError, match=f"'sonar' found, possible: {possible}"):
         estimate(drawn.features, drawn.body, Estimation(senses=("sonar",)))
 
 
-def test_nothing_at_all_is_an_error(world):
+def test_estimate_refuses_a_log_without_any_sense(world):
     drawn = world(0, duration=2.0)
     with pytest.raises(EvidenceError, match="no sense has measurements"):
         estimate(replace(unseen(drawn), joints=None), drawn.body, Estimation())
@@ -73,7 +73,7 @@ def test_vision_alone_needs_a_start(world):
 
 
 @pytest.mark.parametrize(("field", "value"), [("method", "oracle"), ("rate", -1.0)])
-def test_settings_that_make_no_sense(world, field, value):
+def test_invalid_settings_are_refused(world, field, value):
     drawn = world(0, duration=2.0)
     with pytest.raises(UsageError, match=field):
         estimate(drawn.features, drawn.body, replace(Estimation(), **{field: value}))
@@ -90,19 +90,19 @@ def test_more_unobserved_joints_than_image_numbers_give_a_warning(world, without
 
 
 @pytest.mark.parametrize("asked", [("vision",), ("encoders", "effector")])
-def test_the_baseline_refuses_senses_it_does_not_use(world, asked):
+def test_baseline_refuses_senses_it_does_not_use(world, asked):
     drawn = world(0, duration=2.0)
     with pytest.raises(UsageError, match=f"kalman hears encoders alone, but {asked[-1]} is asked for"):
         estimate(drawn.features, drawn.body, Estimation(method="kalman", senses=asked))
 
 
-def test_a_track_missing_in_the_log_cannot_be_selected(world):
+def test_senses_refuse_a_track_missing_in_the_log(world):
     drawn = world(0, duration=2.0)
     with pytest.raises(EvidenceError, match=r"effector: requested, but without measurements"):
         estimate(replace(drawn.features, tracks={}), drawn.body, Estimation(senses=("encoders", "effector")))
 
 
-def test_a_joint_without_readings_is_counted_refused_if_named_and_needs_a_start(world):
+def test_joint_without_readings_is_counted_and_needs_a_start(world):
     drawn = world(0, duration=2.0)
     joints = drawn.features.joints
     values = joints.values.copy()
@@ -138,11 +138,11 @@ def _quiet(drawn, begin, end, joints=(0, 1, 2)):
     ("begin", "end", "text_part"),
     [(4.01, 6.49, "from 4.000 to 6.500 s"), (7.01, 99.0, "from 7.000 s on"), (-1.0, 2.49, "first image to 2.500 s")],
 )
-def test_a_long_silence_of_all_encoders_is_named_with_its_consequence(world, begin, end, text_part):
+def test_silence_warning_names_gap_and_consequence(world, begin, end, text_part):
     (text,) = _quiet(world(0, duration=9.0), begin, end)
     assert text_part in text and "2 numbers per image do not determine 3 joints" in text
 
 
-def test_short_gaps_and_those_that_images_cover_give_no_warning(world):
+def test_silence_warning_is_absent_for_short_or_covered_gaps(world):
     assert not _quiet(world(0, duration=9.0), 4.0, 4.9)
     assert not _quiet(world(0, duration=9.0), 4.0, 7.0, joints=(1,))

@@ -13,7 +13,7 @@ MODEL = Estimation(method="smoother", precision="model", bias="off")
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_on_a_linear_body_it_is_the_rts_smoother(world, reference, linear_model, seed):
+def test_smoother_of_a_linear_body_is_the_rts_smoother(world, reference, linear_model, seed):
     drawn = world(seed, duration=8.0, model=linear_model, hidden=(2.0, 3.0))
     found = estimate(drawn.features, drawn.body, MODEL)
     expected = reference(drawn, np.full(3, 0.3), np.full(3, 0.02**2), 0.4**2)
@@ -23,7 +23,7 @@ def test_on_a_linear_body_it_is_the_rts_smoother(world, reference, linear_model,
     np.testing.assert_allclose(found.cov, expected.smooth_cov[at, :3, :3], atol=1e-9, rtol=0)
 
 
-def test_its_last_row_is_the_filters_last_row(world, linear_model):
+def test_smoother_last_row_is_the_filters(world, linear_model):
     drawn = world(5, duration=6.0, model=linear_model, camera_hz=10.0)
     track = drawn.features.tracks["effector"]
     kept = track.t < drawn.features.joints.t[-1]
@@ -36,7 +36,7 @@ def test_its_last_row_is_the_filters_last_row(world, linear_model):
     np.testing.assert_allclose(smooth.cov[-1], filtered.cov[-1], atol=1e-10, rtol=0)
 
 
-def test_the_future_helps_most_where_nothing_was_seen(world):
+def test_smoother_improves_most_without_sightings(world):
     gains, gaps = [], []
     for seed in range(2):
         drawn = world(seed, duration=11.0, hidden=(6.0, 8.0))
@@ -52,7 +52,7 @@ def test_the_future_helps_most_where_nothing_was_seen(world):
     assert np.mean(gaps) < 0.7
 
 
-def test_it_is_not_over_confident(world):
+def test_smoother_is_not_overconfident(world):
     inside = []
     for seed in range(6):
         drawn = world(seed, duration=10.0)

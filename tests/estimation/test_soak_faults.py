@@ -45,14 +45,14 @@ def believed(lab, scenario, seed, options):
 
 
 @pytest.mark.parametrize(("scenario", "options"), SOUND)
-def test_no_sound_encoder_has_a_fault(lab, scenario, options):
+def test_faults_are_absent_for_sound_encoders(lab, scenario, options):
     accused = {seed: found.faults for seed in SEEDS if (found := believed(lab, scenario, seed, options)[1]).faults}
     print(f"{scenario:14s} {options.get('variant', ''):14s} {len(accused)} of {len(SEEDS)} accused")
     assert not accused
 
 
 @pytest.mark.parametrize(("scenario", "kind", "joint", "exceeds"), LYING)
-def test_a_faulty_encoder_is_named_within_two_seconds_and_does_no_harm(lab, scenario, kind, joint, exceeds):
+def test_faulty_encoder_is_named_within_two_seconds_and_replaced(lab, scenario, kind, joint, exceeds):
     for seed in SEEDS:
         run, found = believed(lab, scenario, seed, {})
         (fault,) = found.faults
@@ -65,7 +65,7 @@ def test_a_faulty_encoder_is_named_within_two_seconds_and_does_no_harm(lab, scen
 
 
 @pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])
-def test_a_frozen_encoder_costs_less_than_three_milliradians_in_every_world(world, joint):
+def test_frozen_encoder_adds_less_than_three_milliradians_everywhere(world, joint):
     for seed in SEEDS:
         drawn = world(seed, duration=16.0, encoder_std=0.001, pixel_std=0.5, camera_hz=30.0)
         joints = drawn.features.joints
@@ -78,7 +78,7 @@ def test_a_frozen_encoder_costs_less_than_three_milliradians_in_every_world(worl
 
 
 @pytest.mark.parametrize("size", [0.05, 0.1, -0.2])
-def test_a_step_of_some_deviations_is_named_in_every_world(world, size):
+def test_encoder_step_of_several_deviations_is_always_named(world, size):
     for seed in SEEDS:
         drawn = world(seed, duration=16.0, encoder_std=0.01, pixel_std=0.5, camera_hz=20.0)
         joints = drawn.features.joints
@@ -89,7 +89,7 @@ def test_a_step_of_some_deviations_is_named_in_every_world(world, size):
         assert fault.size == pytest.approx(size, abs=0.04)
 
 
-def test_a_seen_hand_moves_the_estimate_only_when_synchronous(lab):
+def test_rubber_hand_moves_the_estimate_only_when_synchronous(lab):
     """Drift of the estimated effector toward the hand, px: synchronous at least twenty times asynchronous."""
     for seed in SEEDS:
         body, drift = lab.body("default", seed), {}

@@ -42,7 +42,7 @@ def accused(joints: Series) -> list[str]:
 @pytest.mark.soak
 @pytest.mark.parametrize("moves", MOTIONS)
 @pytest.mark.parametrize("how", READ, ids=str)
-def test_no_drawn_encoder_has_a_fault(moves, how):
+def test_faults_are_absent_for_drawn_encoders(moves, how):
     for seed in (100, 101, 102, 103):
         world = drawn(seed, Drawn(moves, **how))
         for senses in (None, ("encoders",)):
@@ -59,7 +59,7 @@ LOGS = (
 
 
 @pytest.mark.parametrize("name", LOGS)
-def test_no_joint_of_a_real_log_has_a_fault_in_its_readings(name):
+def test_faults_are_absent_in_readings_of_real_logs(name):
     path = SHARED / "logs" / name
     if not path.exists():
         pytest.skip(f"{path} is not at hand")
@@ -69,7 +69,7 @@ def test_no_joint_of_a_real_log_has_a_fault_in_its_readings(name):
 
 @pytest.mark.parametrize("episode", [0, 1])
 @pytest.mark.parametrize("column", ["observation.state", "action"])
-def test_no_servo_of_a_real_arm_has_a_fault(episode, column):
+def test_faults_are_absent_for_servos_of_real_arms(episode, column):
     path = SHARED / "real" / "so101" / "data" / "chunk-000" / f"episode_{episode:06}.parquet"
     if not path.exists():
         pytest.skip(f"{path} is not at hand")

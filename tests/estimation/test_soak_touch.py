@@ -59,7 +59,7 @@ def gained(read, features, learned, settings):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_touch_in_time_corrects_a_wrong_start_and_touch_out_of_time_does_not(seen, bodies, form):
+def test_touch_corrects_a_wrong_start_only_when_synchronous(seen, bodies, form):
     for seed, learned in zip(SEEDS, bodies, strict=True):
         timely, late = (
             gained(*seen("touch", seed, variant=variant), learned, FORMS[form]) for variant in ("synchronous", "late")
@@ -69,7 +69,7 @@ def test_touch_in_time_corrects_a_wrong_start_and_touch_out_of_time_does_not(see
         assert np.all(np.abs(late) < 0.1 * timely)
 
 
-def test_the_rubber_hand_pulls_twenty_times_as_much_when_synchronous(seen, bodies):
+def test_rubber_hand_pulls_twenty_times_more_when_synchronous(seen, bodies):
     for seed, learned in zip(SEEDS, bodies, strict=True):
         drift = {}
         for rhythm in ("synchronous", "asynchronous"):

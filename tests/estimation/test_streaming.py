@@ -100,14 +100,14 @@ def simultaneous(world, seed: int, **options: float) -> tuple[Features, BodyMode
 
 @pytest.mark.parametrize("seed", seeds(2, 3))
 @pytest.mark.parametrize("bias", ["off", "on"])
-def test_a_stream_gives_the_batch_filters_belief(world, seed, bias):
+def test_estimator_equals_the_batch_filter(world, seed, bias):
     drawn = world(seed, duration=8.0, hidden=(1.0, 2.0), blunder=0.05)
     check(drawn.features, drawn.body, replace(MODEL, bias=bias))
 
 
 @pytest.mark.parametrize("names", [["pan", "lift", "elbow"], ["pan", "lift"]])
 @pytest.mark.parametrize("seed", seeds(1, 3))
-def test_a_lost_belief_is_found_again_as_in_the_batch(world, seed, names):
+def test_estimator_recovers_a_lost_belief_as_the_batch(world, seed, names):
     drawn = world(seed, duration=10.0, blunder=0.02)
     joints = drawn.features.joints
     gone = np.outer((joints.t >= 3.0) & (joints.t < 8.0), np.isin(joints.names, names))
@@ -154,7 +154,7 @@ def test_variances_learned_from_a_log_are_used_live(world, swept):
     assert_same(beliefs, one)
 
 
-def test_a_log_solved_as_a_whole_gives_variances_for_a_live_filter(world):
+def test_smoother_settings_give_variances_for_the_live_filter(world):
     drawn = world(0, duration=12.0)
     alone = Estimation("smoother", senses=("encoders",))
     settings = json.loads(json.dumps(estimate(drawn.features, drawn.body, alone).settings))
@@ -175,7 +175,7 @@ def test_variances_that_are_not_the_bodys_are_refused(world, encoder):
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
-def test_without_a_stated_std_pixel_noise_is_the_bodys(world, seed):
+def test_pixel_noise_without_a_stated_std_is_the_bodys(world, seed):
     drawn = world(seed, duration=5.0)
     track = drawn.features.tracks["effector"]
     std = np.where(np.random.default_rng(seed).random(track.values.shape) < 0.5, np.nan, track.std)
@@ -254,7 +254,7 @@ def explored(world) -> BodyModel:
 
 
 @pytest.mark.parametrize("senses", [("vision",), ("pan", "vision"), ("lift", "elbow", "vision")])
-def test_without_some_encoders_or_any(world, senses):
+def test_estimator_runs_without_some_or_all_encoders(world, senses):
     drawn, body = world(6, duration=6.0), explored(world)
     body = replace(body, noise=replace(body.noise, encoder=(0.02**2,) * 3, process=(0.3,) * 3))
     order = [drawn.features.joints.names.index(name) for name in body.joints]
@@ -262,7 +262,7 @@ def test_without_some_encoders_or_any(world, senses):
     check(drawn.features, body, replace(MODEL, senses=senses, start=start))
 
 
-def test_the_belief_is_available_at_any_time(world):
+def test_belief_is_available_at_any_time(world):
     drawn = world(2, duration=4.0)
     batch = estimate(drawn.features, drawn.body, replace(MODEL, rate=37.0))
     live, beliefs = Estimator(drawn.body), []
@@ -273,7 +273,7 @@ def test_the_belief_is_available_at_any_time(world):
 
 
 @pytest.mark.parametrize("steps", [6_000, pytest.param(100_000, marks=pytest.mark.soak)])
-def test_a_long_day_takes_no_more_memory_than_a_minute(world, linear_model, steps):
+def test_estimator_uses_constant_memory(world, linear_model, steps):
     body = world(0, duration=1.0, model=linear_model).body
     live, x = Estimator(body), np.array([-0.9, -0.9, 1.0])
     seen = linear_model.predict(x[None])[0][0]
@@ -330,7 +330,7 @@ def test_settings_that_need_the_whole_log_are_refused(world, settings, text):
         Estimator(world(0, duration=1.0).body, settings)
 
 
-def test_a_lag_is_no_negative_time(world):
+def test_estimator_refuses_a_negative_lag(world):
     with pytest.raises(UsageError, match=r"lag: -1.0 found, a time of at least 0 s is possible"):
         Estimator(world(0, duration=1.0).body, lag=-1.0)
 
@@ -370,7 +370,7 @@ def test_joints_in_two_halves_start_once_all_are_known(world):
 
 @pytest.mark.parametrize("offsets", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_an_instant_in_plain_floats_equals_matrices(seed, offsets):
+def test_scalar_steps_equal_the_matrix_form(seed, offsets):
     rng = np.random.default_rng(seed)
     m = 3
     drift = np.array([1e-4, 0.0, 1e-5]) if offsets else None

@@ -19,7 +19,7 @@ def freeze(drawn, begin, end=np.inf):
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf", "predictive-coding"])
 @pytest.mark.parametrize("seed", range(2))
-def test_a_camera_that_stands_still_is_named_and_does_no_harm(world, method, seed):
+def test_frozen_camera_is_named_and_its_images_removed(world, method, seed):
     drawn = world(seed, duration=12.0, camera_hz=20.0)
     found = estimate(freeze(drawn, 6.0), drawn.body, Estimation(method=method))
     ((fault),) = found.faults
@@ -32,7 +32,7 @@ def test_a_camera_that_stands_still_is_named_and_does_no_harm(world, method, see
         assert np.mean(error**2 / np.einsum("nii->ni", found.cov)) < 1.6
 
 
-def test_a_frozen_camera_may_recover(world):
+def test_frozen_camera_may_recover(world):
     drawn = world(2, duration=12.0, camera_hz=20.0)
     found = estimate(freeze(drawn, 4.0, 7.0), drawn.body, Estimation())
     assert [(fault.sense, fault.kind) for fault in found.faults] == [("vision", "frozen")]
@@ -45,7 +45,7 @@ def test_images_of_an_arm_at_rest_may_repeat(world):
     assert not found.faults and "frozen" not in found.used["effector"].rejected
 
 
-def test_one_encoder_that_drifts_on_an_arm_at_rest_is_not_the_cameras_fault(world):
+def test_frozen_camera_ignores_one_drifting_encoder_at_rest(world):
     drawn = world(3, duration=14.0, camera_hz=20.0, speed=0.0, encoder_std=0.005, pixel_std=0.1)
     features = freeze(drawn, 0.0)
     joints = features.joints
@@ -54,7 +54,7 @@ def test_one_encoder_that_drifts_on_an_arm_at_rest_is_not_the_cameras_fault(worl
     assert [(fault.sense, fault.name) for fault in found.faults] == [("encoders", joints.names[0])]
 
 
-def test_a_camera_that_stands_still_is_named_by_encoders_on_topics_of_their_own(world):
+def test_frozen_camera_is_named_with_encoders_on_separate_topics(world):
     drawn = world(0, duration=12.0, camera_hz=20.0)
     features = freeze(drawn, 6.0)
     values = features.joints.values.copy()
@@ -63,7 +63,7 @@ def test_a_camera_that_stands_still_is_named_by_encoders_on_topics_of_their_own(
     assert [(fault.sense, fault.name, fault.kind) for fault in found.faults] == [("vision", "effector", "frozen")]
 
 
-def test_two_jumping_encoders_do_not_freeze_a_resting_arms_camera(world):
+def test_frozen_camera_ignores_two_jumping_encoders_at_rest(world):
     """Encoders are screened for their own faults before they judge a camera."""
     drawn = world(3, duration=14.0, camera_hz=20.0, speed=0.0, encoder_std=0.002, pixel_std=0.1)
     features = freeze(drawn, 0.0)

@@ -30,7 +30,7 @@ def solved(features, body, **settings):
 
 @pytest.mark.parametrize("size", [0.0, 0.03, 0.05, 0.1])
 @pytest.mark.parametrize("seed", range(2))
-def test_the_score_is_the_evidence_of_a_filter_with_an_offset(world, seed, size):
+def test_offset_score_is_the_evidence_with_an_offset(world, seed, size):
     drawn = world(seed, duration=14.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     problem, found = solved(lying(drawn, size), drawn.body)
     cost = partial(filtering.cost, warm=found)
@@ -39,7 +39,7 @@ def test_the_score_is_the_evidence_of_a_filter_with_an_offset(world, seed, size)
     assert (max(wins) > encoder_offset.GAIN) is (size > 0)
 
 
-def test_without_images_the_score_is_zero(world):
+def test_offset_score_without_images_is_zero(world):
     drawn = world(0, duration=6.0)
     problem, found = solved(replace(drawn.features, tracks={}), drawn.body)
     assert not offset_score(problem, found, WALK)[0].any()
@@ -56,21 +56,21 @@ def _never(*_, **__):
     raise AssertionError("an offset was tried")
 
 
-def test_a_sound_log_needs_no_further_solve(world, monkeypatch):
+def test_offset_search_skips_sound_logs(world, monkeypatch):
     monkeypatch.setattr(encoder_offset, "choose", _never)
     for seed in range(3):
         drawn = world(seed, duration=12.0, hidden=(6.0, 8.0), blunder=0.02)
         assert not estimate(drawn.features, drawn.body, Estimation()).faults
 
 
-def test_the_lag_of_a_smoothers_forward_pass_is_no_offset(world, learned, monkeypatch):
+def test_offset_search_ignores_the_smoothers_forward_lag(world, learned, monkeypatch):
     monkeypatch.setattr(encoder_offset, "choose", _never)
     for seed in (7, 8):
         drawn = world(seed, duration=60.0, encoder_hz=500.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
         assert not estimate(drawn.features, learned, Estimation(method="smoother")).faults
 
 
-def test_a_smoothers_lag_reduces_the_score(world, learned, monkeypatch, swept):
+def test_offset_score_decreases_with_a_smoothers_lag(world, learned, monkeypatch, swept):
     scored, named = [], "offset_score"
     monkeypatch.setattr(encoder_offset, named, lambda *given: scored.append(offset_score(*given)) or scored[-1])
     for seed in (2, 3):
@@ -90,7 +90,7 @@ def test_model_error_gives_no_encoder_fault(world, learned):
 
 @pytest.mark.parametrize("joint", ["lift", "elbow"])
 @pytest.mark.parametrize("seed", range(2))
-def test_a_step_no_larger_than_the_noise_is_named(world, seed, joint):
+def test_encoder_step_near_the_noise_is_named(world, seed, joint):
     drawn = world(seed, duration=16.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     found = estimate(lying(drawn, 0.04, joint), drawn.body, Estimation())
     assert [fault.name for fault in found.faults] == [joint]

@@ -97,7 +97,7 @@ def filtered(features, body, process, poses=None):
     return np.array(means), np.array(covs)
 
 
-def test_the_pose_fits_the_corners_and_has_true_derivatives():
+def test_tag_pose_fits_the_corners_with_true_derivatives():
     x = motion(np.arange(0.0, 3.0, 0.5), np.random.default_rng(0), 0.3)
     model = PoseModel(MODELS, POINTS, LENS)
     mean, jac, _ = model.predict(x)
@@ -110,7 +110,7 @@ def test_the_pose_fits_the_corners_and_has_true_derivatives():
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_the_six_rows_have_a_true_covariance(seed):
+def test_tag_pose_has_a_true_covariance(seed):
     features, body, _, at_frames = drawn(seed, duration=10.0, pixel=0.1)
     ((name,),) = (TagPose(LENS).names(features, body),)
     poses, health = TagPose(LENS).read(name, features, body)
@@ -124,7 +124,7 @@ def test_the_six_rows_have_a_true_covariance(seed):
     assert np.abs(poses.cov[rows] / (scale[:, :, None] * scale[:, None]) - np.eye(6)).max() > 0.5
 
 
-def test_a_filter_with_poses_has_true_error_bars():
+def test_filter_with_tag_poses_has_true_error_bars():
     found = {True: [], False: []}
     for seed in range(6):
         features, body, truth, _ = drawn(seed, duration=4.0, pixel=0.1, camera=6.0)
@@ -138,7 +138,7 @@ def test_a_filter_with_poses_has_true_error_bars():
     assert rmse < 0.7 * without and 0.8 < nees < 1.25
 
 
-def test_a_far_tag_with_two_poses_gives_none():
+def test_tag_pose_is_absent_for_an_ambiguous_far_tag():
     at, turn = np.array([0.0, 0.0, 6.0]), exponential(np.array([0.25, 0.0, 0.0]))
     corners = project(POINTS @ turn.T + at, LENS)[0]
     assert unambiguous(corners, np.full(8, 0.04), POINTS, LENS) is None
@@ -148,7 +148,7 @@ def test_a_far_tag_with_two_poses_gives_none():
     assert solved(near, np.full(8, 0.04), POINTS, LENS).cost < 1e-9
 
 
-def test_an_unseen_corner_hides_the_pose():
+def test_tag_pose_is_absent_without_all_corners():
     features, body, _, _ = drawn(3, duration=1.0)
     values = features.tracks["tag.2"].values.copy()
     values[4] = np.nan

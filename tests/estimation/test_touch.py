@@ -34,7 +34,7 @@ def test_variance_and_times_are_the_likelihoods(world, stroked):
     assert count == len(features.touches)
 
 
-def test_all_frames_of_one_touch_count_as_one_sighting(world, stroked):
+def test_touch_counts_all_its_frames_as_one_sighting(world, stroked):
     features, body = stroked(world(0), 1.0), world(0).body
     t, _, var, _, count = touch.sightings(features, body)
     information = (1.0 / var).sum(axis=0)
@@ -42,7 +42,7 @@ def test_all_frames_of_one_touch_count_as_one_sighting(world, stroked):
     assert len(t) > count
 
 
-def test_a_cell_of_known_position_is_used_there(world, stroked):
+def test_touch_uses_a_cell_at_its_known_position(world, stroked):
     features, body = stroked(world(0), 1.0, (30.0, -8.0)), world(0).body
     body = replace(body, cells={1: (30.0, -8.0, 3.0)})
     t, places, var, *_ = touch.sightings(features, body, whole=False)
@@ -66,7 +66,7 @@ def test_synchronous_touch_corrects_and_asynchronous_does_not(world, stroked):
     assert abs(gain[1e-6]) < 0.1 * gain[1.0]
 
 
-def test_the_rubber_hand_pulls_only_when_synchronous(world, stroked):
+def test_rubber_hand_pulls_only_when_synchronous(world, stroked):
     drift = {}
     for weight in (1.0, 1e-3):
         drawn = world(2, encoder_std=0.005)
@@ -78,7 +78,7 @@ def test_the_rubber_hand_pulls_only_when_synchronous(world, stroked):
     assert drift[1.0] > 20 * drift[1e-3]
 
 
-def test_the_literal_form_is_the_papers_descents_alone(world, stroked):
+def test_literal_touch_is_limited_to_the_papers_descent(world, stroked):
     drawn = world(0, duration=10.0)
     features = stroked(drawn, 1.0, (10.0, 0.0))
     with pytest.raises(UsageError, match="literal"):

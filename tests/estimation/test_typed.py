@@ -25,7 +25,7 @@ def asked(half=1.0, **others):
 
 @pytest.mark.parametrize("method", ["laplace", "ekf", "smoother"])
 @pytest.mark.parametrize("half", [1.0, 0.5])
-def test_the_belief_is_kalmans_with_the_variances_that_are_typed(world, reference, linear_model, method, half):
+def test_belief_with_given_variances_is_the_kalman_filters(world, reference, linear_model, method, half):
     drawn = world(3, duration=6.0, model=linear_model, encoder_std=0.005)  # within the gate
     found = estimate(drawn.features, drawn.body, asked(half, method=method))
     encoder = half * np.array(list(SIGMA.values()))
@@ -37,7 +37,7 @@ def test_the_belief_is_kalmans_with_the_variances_that_are_typed(world, referenc
     assert found.settings["encoder"] == encoder.tolist() and found.settings["process"] == [PROCESS] * 3
 
 
-def test_half_the_variance_of_an_encoder_draws_the_belief_to_it(world):
+def test_belief_follows_an_encoder_more_with_smaller_variance(world):
     drawn = world(4, duration=6.0, encoder_std=0.005)
     joints = drawn.features.joints
     values = joints.values[:, [joints.names.index(name) for name in drawn.body.joints]]
@@ -48,7 +48,7 @@ def test_half_the_variance_of_an_encoder_draws_the_belief_to_it(world):
     assert off[0] > 1.1 * off[1] > 2.0 * off[2]
 
 
-def test_a_live_filter_uses_them_too(world):
+def test_live_filter_uses_given_variances(world):
     drawn = world(5, duration=2.0, encoder_std=0.005)
     settings = asked()
     batch, live = estimate(drawn.features, drawn.body, settings), Estimator(drawn.body, settings)
@@ -60,7 +60,7 @@ def test_a_live_filter_uses_them_too(world):
     np.testing.assert_allclose([beliefs[t].x for t in batch.joints.t], batch.joints.values, atol=1e-9, rtol=0)
 
 
-def test_what_is_learned_of_a_log_leaves_alone_what_is_typed(world):
+def test_learned_variances_do_not_replace_given_ones(world):
     drawn = world(6, duration=6.0)
     typed = Estimation(sigma_encoders={"lift": 2.5e-4}, sigma_vision={"effector": 0.3}, process={"pan": 0.7})
     found = estimate(drawn.features, drawn.body, typed).settings
@@ -106,7 +106,7 @@ def test_unknown_names_are_refused_and_ignored_variances_give_a_warning(world):
     assert text.startswith("process: 1.0 is ignored by kalman")
 
 
-def test_they_stand_in_robot_toml_and_come_back(tmp_path):
+def test_given_variances_survive_robot_toml(tmp_path):
     given = {"sigma_encoders": 0.01, "sigma_vision": {"effector": 0.2}, "lambda": 0.5, "process": {"pan": 1}}
     settings = merge(Settings(), {"estimate": given}, "robot.toml")
     assert settings.estimate.sigma_encoders == 0.01 and settings.estimate.lambda_ == 0.5

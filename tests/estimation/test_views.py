@@ -28,12 +28,12 @@ def test_tracks_in_view_are_found_by_gaps():
     assert [found[k] for k in which] == [("left", "right")] * 2 + [("right",)] * 3 + [("left", "right")] * 2
 
 
-def test_a_track_may_come_late_or_leave_for_good():
+def test_views_accept_a_track_that_starts_late_or_ends():
     found, which = views([track("only", np.arange(4.0, 6.0, 0.1))], np.array([0.0, 3.9, 4.0, 5.85, 6.0, 9.0]))
     assert [found[k] for k in which] == [(), (), (), ("only",), (), ()]
 
 
-def test_touch_and_what_was_never_seen_are_no_views():
+def test_views_omit_touch_and_tracks_never_seen():
     frames = np.arange(0.0, 10.0, 0.1)
     tracks = [track("touch", frames, (2.0, 9.0)), track("never", frames, (-1.0, 11.0)), track("seen", frames)]
     assert views(tracks, frames)[0] == [("seen",)]
@@ -49,7 +49,7 @@ def test_settings_say_how_the_arm_moves_out_of_view(world, swept, method):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_one_instant_after_the_other_moves_as_the_sweeps_do(world, seed):
+def test_walk_by_single_instants_equals_the_sweeps(world, seed):
     drawn = world(seed, hidden=(8.0, 11.0))
     problem, _, _ = pose(drawn.features, drawn.body, Estimation(method="laplace"))
     precision = replace(problem.precision, fewer={(): problem.precision.process * np.array([1.0, 9.0, 4.0])})

@@ -14,17 +14,17 @@ def _found(rmse, elbow=0.02):
     return {"run.mcap": (*errors, Score("nees/joint", 9.0, ""))}
 
 
-def test_an_error_within_the_tolerance_passes():
+def test_check_accepts_an_error_within_the_tolerance():
     check(_found(0.01049), BEFORE, 0.05)
 
 
 @pytest.mark.parametrize("found", [_found(0.0106), _found(0.01, 0.0211), _found(float("nan"))])
-def test_an_error_that_grew_names_score_and_both_values(found):
+def test_check_of_a_larger_error_names_score_and_values(found):
     with pytest.raises(BoundError, match=r"run\.mcap: rmse/joint\S* was 0\.0[12], is"):
         check(found, BEFORE, 0.05)
 
 
-def test_a_log_the_baseline_lacks_is_an_error():
+def test_check_refuses_a_log_the_baseline_lacks():
     with pytest.raises(UsageError, match=r"not in the baseline, which has run\.mcap"):
         check({"new.mcap": ()}, BEFORE, 0.05)
 
@@ -36,7 +36,7 @@ def test_baseline_is_read_from_results(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["{}\n", "[" * 100_000])
-def test_what_is_no_baseline_is_refused(tmp_path, text):
+def test_load_refuses_other_files_than_baselines(tmp_path, text):
     path = tmp_path / "results.jsonl"
     path.write_text(text)
     with pytest.raises(InputError, match=r"not a results\.jsonl"):
@@ -49,12 +49,12 @@ def test_tolerance_is_a_share(text, share):
 
 
 @pytest.mark.parametrize("text", ["five", "-5%", "5%%", ""])
-def test_what_is_no_share_is_refused(text):
+def test_tolerance_refuses_other_texts_than_percentages(text):
     with pytest.raises(UsageError, match=r"e\.g\. 5%"):
         tolerance(text)
 
 
-def test_a_number_that_may_be_a_share_or_a_percentage_is_refused():
+def test_tolerance_refuses_an_ambiguous_number():
     with pytest.raises(UsageError, match="type --tolerance 5%"):
         tolerance("5")
 

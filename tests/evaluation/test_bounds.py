@@ -16,13 +16,13 @@ from bodylog.types import Score
         ("tip_rmse>3", "rmse/innovation/tip>3"),
     ],
 )
-def test_an_old_name_is_an_error_that_gives_the_new_one(old: str, new: str) -> None:
+def test_parse_of_an_old_name_gives_the_new_one(old: str, new: str) -> None:
     with pytest.raises(UsageError, match=f"type {new}$"):
         parse(old)
 
 
 @pytest.mark.parametrize("name", ["nees/*", "nis/tip", "rmse/joint", "fault/*/elbow", "nonsense"])
-def test_other_names_are_not_taken_for_old_ones(name: str) -> None:
+def test_parse_does_not_confuse_other_names_with_old_ones(name: str) -> None:
     assert parse(f"{name}>1").name == name
 
 
@@ -33,22 +33,22 @@ BROKEN = ["rmse/joint>0.02", "rmse/joint >= 3e-2", "rmse/joint<0.04", "nees/join
 
 
 @pytest.mark.parametrize("text", BROKEN)
-def test_a_broken_bound_names_log_score_value_and_bound(text):
+def test_check_of_a_broken_bound_names_log_and_values(text):
     with pytest.raises(BoundError, match=r"run\.mcap: (rmse/joint is 0\.03|nees/joint is nan), bound broken"):
         check(SCORES, [parse(text)])
 
 
 @pytest.mark.parametrize("text", ["rmse/joint>0.03", "rmse/joint<0.03", "rmse/joint>1"])
-def test_a_bound_that_holds_is_silent(text):
+def test_check_accepts_a_bound_that_holds(text):
     check(SCORES, [parse(text)])
 
 
 @pytest.mark.parametrize("text", ["rmse/joint", "rmse/joint=1", "rmse/joint>", ">1", "rmse/joint>1e", "a b>1"])
-def test_what_is_no_bound_is_refused(text):
+def test_parse_refuses_other_texts_than_bounds(text):
     with pytest.raises(UsageError, match="type a score"):
         parse(text)
 
 
-def test_an_unknown_score_lists_the_known():
+def test_check_of_an_unknown_score_lists_the_known():
     with pytest.raises(UsageError, match="possible: nees/joint, rmse/joint"):
         check(SCORES, [parse("rmse>1")])

@@ -30,7 +30,7 @@ OPEN = Fault("encoders", "lift or elbow", "drifting", 0.1, float("nan"), "rad")
 
 
 @pytest.mark.parametrize("bound", ["faults>0", "fault/*>0", "fault/encoder_offset/elbow>0.05", "delay/camera>0.05"])
-def test_a_sound_log_keeps_its_bounds(sound, bound):
+def test_bounds_hold_for_a_sound_log(sound, bound):
     judged(sound, bound, "used_share/effector<0.9", "delay/*>0")
 
 
@@ -45,17 +45,17 @@ def test_a_sound_log_keeps_its_bounds(sound, bound):
         ((OPEN,), "fault/*/elbow>0.05", "fault/encoder_offset/elbow is nan"),
     ],
 )
-def test_a_fault_breaks_a_bound_without_any_truth(sound, faults, bound, text):
+def test_bounds_detect_a_fault_without_truth(sound, faults, bound, text):
     with pytest.raises(BoundError, match=text):
         judged(replace(sound, faults=faults), bound)
 
 
-def test_a_late_camera_breaks_a_bound(sound):
+def test_bounds_detect_a_late_camera(sound):
     with pytest.raises(BoundError, match=r"delay/camera is 0\.06"):
         judged(replace(sound, settings={**sound.settings, "delay": {"camera": 0.06}}), "delay/camera>0.05")
 
 
-def test_what_could_not_be_seen_is_not_passed():
+def test_bounds_fail_for_unobservable_figures():
     drawn = draw(0, duration=8.0)
     joints = drawn.features.joints
     off = replace(joints, values=joints.values + 0.087 * (np.array(joints.names) == "elbow"))
@@ -66,6 +66,6 @@ def test_what_could_not_be_seen_is_not_passed():
 
 
 @pytest.mark.parametrize("name", ["fault/encoder_offset/elbov", "fault/encoder_offset/elbow_joint"])
-def test_an_unknown_joint_names_those_near(sound, name):
+def test_bounds_of_an_unknown_joint_suggest_similar_names(sound, name):
     with pytest.raises(UsageError, match=r"possible: .*fault/encoder_offset/elbow"):
         judged(sound, f"{name}>0.05")

@@ -43,7 +43,7 @@ def believed(t, x, cov, predicted=None, predicted_cov=None):
     return Estimate("laplace", joints, joints, cov, {}, np.zeros(len(t)), {}, predicted or {}, predicted_cov or {}, {})
 
 
-def test_each_fifth_frame_is_withheld_and_only_those_that_show_something_are_asked_for(scene):
+def test_withhold_hides_every_fifth_frame_and_returns_its_sightings(scene):
     features, _ = scene
     fewer, withheld = withhold(features)
     hidden = np.isnan(fewer.tracks["effector"].values).any(axis=1)
@@ -52,7 +52,7 @@ def test_each_fifth_frame_is_withheld_and_only_those_that_show_something_are_ask
     assert np.isfinite(withheld["effector"].values).all()
 
 
-def test_the_score_is_the_mean_density_of_what_was_foretold(scene):
+def test_held_out_is_the_mean_predicted_density(scene):
     features, body = scene
     _, withheld = withhold(features)
     track, seen = features.tracks["effector"], withheld["effector"]
@@ -64,7 +64,7 @@ def test_the_score_is_the_mean_density_of_what_was_foretold(scene):
     assert score.value == pytest.approx(multivariate_normal([0.1, 0.1], cov).logpdf(seen.values).mean(), rel=1e-12)
 
 
-def test_a_belief_that_did_not_see_is_asked_through_the_body(scene):
+def test_held_out_predicts_images_with_the_body(scene):
     features, body = scene
     _, withheld = withhold(features)
     track, seen = features.tracks["effector"], withheld["effector"]
@@ -74,12 +74,12 @@ def test_a_belief_that_did_not_see_is_asked_through_the_body(scene):
     assert score.value == pytest.approx(expected, rel=1e-12)
 
 
-def test_nothing_withheld_gives_no_score(scene):
+def test_held_out_is_absent_without_withheld_frames(scene):
     _, body = scene
     assert held_out(believed(np.arange(3.0), np.zeros((3, 2)), np.zeros((3, 2, 2))), {}, body) == ()
 
 
-def test_a_track_that_would_show_nothing_any_more_is_left(scene):
+def test_withhold_keeps_a_tracks_only_sighting(scene):
     features, _ = scene
     track = features.tracks["effector"]
     once = np.where(np.arange(40)[:, None] == EVERY - 1, track.values, np.nan)
@@ -99,7 +99,7 @@ def test_a_track_that_would_show_nothing_any_more_is_left(scene):
         ("smoother", ("encoders",), 0.01),
     ],
 )
-def test_a_linear_body_scores_as_the_textbook_filter_and_smoother(seed, method, senses, off):
+def test_held_out_of_a_linear_body_equals_the_textbook(seed, method, senses, off):
     """In nats; estimates that did not see are asked between their instants, which is nearly right."""
     plane = Linear(np.array([[300.0, -40.0, 20.0], [15.0, 250.0, 120.0]]), np.array([160.0, 120.0]))
     drawn = draw(seed, duration=8.0, model=plane)
@@ -120,7 +120,7 @@ def test_a_linear_body_scores_as_the_textbook_filter_and_smoother(seed, method, 
 
 
 @pytest.mark.parametrize(("method", "foretold"), [("laplace", 0.3), ("kalman", 0.0), ("smoother", 0.5)])
-def test_the_future_is_known_to_the_smoother_alone(scene, method, foretold):
+def test_held_out_interpolates_for_smoothers_only(scene, method, foretold):
     """Beliefs 0 and 1 rad, 1 s apart, at a rate of 0.6 rad/s; a frame is asked for half-way."""
     _, body = scene
     seen = series(np.array([0.5]), np.zeros((1, 2)), ("u", "v"), "px", np.full((1, 2), 0.5))

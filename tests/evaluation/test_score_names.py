@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 ROWS = dict(re.findall(r"^\| `([^`]+)` \|([^|]*)\|", (ROOT / "docs" / "metrics.md").read_text(), re.MULTILINE))
 
 
-def test_the_page_on_metrics_has_every_figure_with_its_unit() -> None:
+def test_metrics_page_lists_all_figures_with_units() -> None:
     stated = {split(name.replace("[", "").replace("]", ""))[0]: unit_.strip() for name, unit_ in ROWS.items()}
     assert stated == dict(FIGURES)
 
@@ -31,18 +31,18 @@ def _made() -> list[tuple[str, str, str | None]]:
 
 
 @pytest.mark.parametrize(("place", "name", "stated"), _made())
-def test_every_score_made_has_a_known_figure_and_its_unit(place: str, name: str, stated: str | None) -> None:
+def test_score_names_have_known_figures_and_units(place: str, name: str, stated: str | None) -> None:
     pattern = name.replace("PART", ".+")
     assert any(re.fullmatch(pattern, f"{figure}{part}") for figure in FIGURES for part in ("", "/p", "/p/q")), place
     if stated is not None and unit(name):
         assert stated == unit(name), place
 
 
-def test_a_name_splits_at_its_figure_though_parts_hold_slashes() -> None:
+def test_split_separates_the_figure_despite_slashes() -> None:
     assert split("rmse/innovation/side/effector") == ("rmse/innovation", "side/effector")
     assert split("nis/held_out/tip") == ("nis/held_out", "tip") and split("nis/tip") == ("nis", "tip")
     assert split("rmse/joint") == ("rmse/joint", "") and split("fault/dead/elbow") == ("fault", "dead/elbow")
 
 
-def test_what_was_renamed_leads_to_figures_of_today() -> None:
+def test_renamed_figures_map_to_current_ones() -> None:
     assert set(RENAMED.values()) <= set(FIGURES) and not set(RENAMED) & set(FIGURES)

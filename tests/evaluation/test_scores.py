@@ -27,7 +27,7 @@ def named(found, truth, joints=None):
     return {score.name: score for score in scores(found, truth, joints)}
 
 
-def test_each_figure_and_its_unit():
+def test_scores_have_the_right_values_and_units():
     found, truth = made(np.array([0.03, 0.04]), 0.05)
     score = named(found, truth)
     assert score["rmse/joint"].value == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
@@ -42,7 +42,7 @@ def test_each_figure_and_its_unit():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_an_honest_gaussian_scores_one_and_95_percent(seed):
+def test_nees_of_true_gaussian_errors_is_one(seed):
     error = np.random.default_rng(seed).normal(0, 0.1, (4000, 2))
     t = np.arange(4000) * 0.01
     found, truth = made(np.zeros(2), 0.1, 4000)
@@ -53,7 +53,7 @@ def test_an_honest_gaussian_scores_one_and_95_percent(seed):
     assert len(t) == 4000
 
 
-def test_an_error_bar_of_zero_is_infinitely_wrong():
+def test_nees_of_a_zero_error_bar_is_infinite():
     found, truth = made(np.array([0.03, 0.04]), 0.05)
     cov = found.cov.copy()
     cov[7] = 0.0
@@ -97,7 +97,7 @@ def test_encoders_that_read_no_angles_are_not_held_to_angles():
     assert "rmse/encoders" in named(found, truth, truth)
 
 
-def test_without_truth_only_what_needs_none():
+def test_scores_without_truth_omit_figures_that_need_it():
     found, truth = made(np.zeros(2), 0.1)
     assert set(named(found, None, truth)) == {"free_energy", "log_evidence", "nis/effector", "used/effector"}
     stranger = Series(truth.t, truth.values, ("x", "y"), "rad", truth.source_ns)

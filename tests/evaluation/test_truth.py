@@ -28,7 +28,7 @@ def table(path, name, times):
         ("timestamp", [(START + round(t * 1e9)) / 1e6 for t in T]),
     ],
 )
-def test_a_table_is_read_at_times_of_any_origin(tmp_path, name, times):
+def test_load_accepts_tables_of_any_time_origin(tmp_path, name, times):
     found = table(tmp_path / "truth.csv", name, times)
     assert found.names == ("lift", "pan")
     np.testing.assert_allclose(found.t, T, atol=2e-3 if name == "timestamp" else 1e-6)
@@ -61,7 +61,7 @@ def test_columns_without_names_are_named_by_the_readings_they_follow(tmp_path):
         ("t,pan\nnan,1\n", "not with numbers"),
     ],
 )
-def test_what_is_no_truth_is_refused_with_what_is_possible(tmp_path, text, why):
+def test_load_refuses_invalid_truth_with_the_possible_forms(tmp_path, text, why):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(InputError, match=why) as refused:
         load(tmp_path / "a.csv", START, READ)

@@ -57,7 +57,7 @@ def test_drawn_sphere_has_its_centroid_at_the_truth(seed):
     assert np.median(errors) < 0.02
 
 
-def test_what_is_before_a_sphere_hides_it():
+def test_sphere_is_hidden_by_nearer_things():
     centre = place(100, 100, 1.0)
     picture, depth = blank()
     cameras.card(picture, depth, (0, 0, 320, 240), 0.9)
@@ -80,7 +80,7 @@ def test_sphere_behind_the_camera_is_not_drawn():
     assert cameras.sphere(picture, depth, CAMERA, place(160, 120, -1.0), 0.025, GREEN) == 0.0
 
 
-def test_nothing_else_is_green_or_red():
+def test_background_is_grey():
     wall = cameras.background(CAMERA, np.random.default_rng(4)).astype(int)
     assert np.ptp(wall, axis=2).max() <= 6
     assert 30 < wall.mean() < 90

@@ -39,7 +39,7 @@ def test_truth_is_where_a_tracker_finds_the_blob(tmp_path, image, scenario, topi
 
 
 @pytest.mark.parametrize("arm", ["ur5", "seven"])
-def test_a_camera_at_the_side_sees_the_same_arm_at_instants_of_its_own(tmp_path, arm):
+def test_side_camera_shows_the_same_arm_at_other_instants(tmp_path, arm):
     record("reach", tmp_path / "a.mcap", seed=3, duration=6.0, size=(160, 120), arm=arm, cameras=2)
     topics = reading.read(tmp_path / "a.mcap")
     truth = reading.pixels(topics, "/truth/side/effector_pixel")
@@ -51,7 +51,7 @@ def test_a_camera_at_the_side_sees_the_same_arm_at_instants_of_its_own(tmp_path,
     assert not set(shown) & {t for t, _ in reading.pictures(topics)}
 
 
-def test_a_head_that_turns_is_one_more_joint_and_its_camera_turns_with_it(tmp_path):
+def test_turning_head_adds_a_joint_and_turns_its_camera(tmp_path):
     record("touch", tmp_path / "a.mcap", seed=3, duration=6.0, size=(320, 240), turning=True)
     topics = reading.read(tmp_path / "a.mcap")
     _, angles, names = reading.positions(topics, "/truth/joint_states")
@@ -72,7 +72,7 @@ def test_a_head_that_turns_is_one_more_joint_and_its_camera_turns_with_it(tmp_pa
     assert np.linalg.norm(hand[nearest] - [stroke.message.start.x, stroke.message.start.y]) < 5
 
 
-def test_a_second_camera_changes_nothing_of_the_first(tmp_path):
+def test_second_camera_does_not_change_the_first(tmp_path):
     logs = []
     for cameras in (1, 2):
         record("touch", tmp_path / "a.mcap", seed=3, duration=2.0, size=(96, 64), cameras=cameras)

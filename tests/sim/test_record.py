@@ -156,7 +156,7 @@ def test_progress_counts_pictures(tmp_path):
         ({"seed": -1}, "seed is -1"),
     ],
 )
-def test_what_is_not_possible_is_named(tmp_path, wrong, words):
+def test_record_names_impossible_options(tmp_path, wrong, words):
     arguments = {"scenario": "touch", "out": tmp_path / "x.mcap", **wrong}
     with pytest.raises(UsageError, match=words) as caught:
         record(**arguments)
@@ -164,7 +164,7 @@ def test_what_is_not_possible_is_named(tmp_path, wrong, words):
     assert not list(tmp_path.iterdir())
 
 
-def test_without_pybullet_nothing_is_left(tmp_path, monkeypatch):
+def test_record_without_pybullet_leaves_no_output(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(UsageError, match=r"bodylog\[sim\]"):
         record("reach", tmp_path / "x.mcap")

@@ -28,14 +28,14 @@ def encoders(topics):
     return t, read[:, [names.index(name) for name in true_names]] - truth, truth
 
 
-def test_every_file_is_in_the_table():
+def test_scenario_table_lists_all_files():
     files = {path.stem.replace("_", "-") for path in Path(bodylog.sim.scenarios.__file__).parent.glob("[a-z]*.py")}
     assert files == set(SCENARIOS)
 
 
 @pytest.mark.parametrize("scenario, variant", EVERY)
 @pytest.mark.parametrize("arm", ARMS)
-def test_every_scenario_and_variant_plays_on_every_arm(tmp_path, scenario, variant, arm):
+def test_scenarios_and_variants_run_on_all_arms(tmp_path, scenario, variant, arm):
     topics = played(tmp_path, scenario, variant=variant or None, arm=arm, duration=0.3)
     assert len(topics["/joint_states"]) == 30 and len(topics["/camera/image/compressed"]) == 6
     assert topics["/joint_states"][0].message.position.shape == (len(ARMS[arm].joints),)

@@ -71,7 +71,7 @@ def green(picture):
     return picture[..., 1].astype(int) - np.delete(picture, 1, axis=2).max(axis=2) > 60
 
 
-def test_each_part_has_joints_on_a_topic_of_its_own_with_its_rate_and_clock(tmp_path):
+def test_parts_have_separate_topics_rates_and_clocks(tmp_path):
     options = {"split_joints": True, "turning": True, "size": (96, 64), "noise": 0.001}
     record("reach", tmp_path / "a.mcap", seed=3, duration=8.0, **options)
     topics = reading.read(tmp_path / "a.mcap")
@@ -89,7 +89,7 @@ def test_each_part_has_joints_on_a_topic_of_its_own_with_its_rate_and_clock(tmp_
 
 
 @pytest.mark.parametrize("feature", ["tag", "ball"])
-def test_a_camera_on_the_wrist_sees_the_scene_through_the_chain(tmp_path, feature):
+def test_wrist_camera_sees_the_scene_through_the_chain(tmp_path, feature):
     record("babble", tmp_path / "a.mcap", seed=2, duration=3.0, size=(320, 240), camera="wrist", feature=feature)
     topics = reading.read(tmp_path / "a.mcap")
     k = topics["/camera/camera_info"][0].message.k.reshape(3, 3)
@@ -111,7 +111,7 @@ def test_a_camera_on_the_wrist_sees_the_scene_through_the_chain(tmp_path, featur
     assert np.ptp(list(truth.values()), axis=0).min() > 30  # what stands still moves in the image
 
 
-def test_the_features_size_is_that_of_its_image(tmp_path):
+def test_feature_size_is_that_of_its_image(tmp_path):
     widths = []
     for size in (0.03, 0.06):
         record("babble", tmp_path / "a.mcap", duration=0.1, size=(320, 240), feature_size=size)
@@ -119,14 +119,14 @@ def test_the_features_size_is_that_of_its_image(tmp_path):
     assert widths[1] == pytest.approx(2 * widths[0], rel=0.05)
 
 
-def test_without_a_feature_nothing_of_it_is_drawn_or_true(tmp_path):
+def test_feature_off_removes_drawing_and_truth(tmp_path):
     record("reach", tmp_path / "a.mcap", duration=0.2, size=(160, 120), feature="none")
     topics = reading.read(tmp_path / "a.mcap")
     assert "/truth/effector_pixel" not in topics and "/truth/effector_pose" in topics
     assert not any(green(picture).any() for _, picture in reading.pictures(topics))
 
 
-def test_the_same_options_give_the_same_bytes(tmp_path):
+def test_scene_is_deterministic(tmp_path):
     options = {"feature": "tag", "clutter": True, "split_joints": True, "camera": "wrist", "size": (96, 64)}
     for name in ("a", "b"):
         record("babble", tmp_path / f"{name}.mcap", seed=5, duration=0.5, **options)
@@ -146,13 +146,13 @@ def test_the_same_options_give_the_same_bytes(tmp_path):
         ({"camera": "wrist", "scenario": "touch"}, "scenario touch: .*; type: --camera head"),
     ],
 )
-def test_what_is_not_possible_is_named(tmp_path, wrong, words):
+def test_scene_names_impossible_options(tmp_path, wrong, words):
     with pytest.raises(UsageError, match=words):
         record(**{"scenario": "reach", "out": tmp_path / "x.mcap", "duration": 6.0, **wrong})
     assert not list(tmp_path.iterdir())
 
 
-def test_the_command_has_every_option_with_its_default():
+def test_record_command_has_all_options_with_their_defaults():
     above = click.Context(bodylog, **bodylog.context_settings)  # commands keep the help option of their first context
     typed = command.make_context("record", ["reach", "-o", "a.mcap"], parent=above).params
     typed["size"] = tuple(int(side) for side in typed["size"].split("x"))

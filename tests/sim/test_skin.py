@@ -13,7 +13,7 @@ def signal(t):
     return skin.proximity(hand.path([CONTACT], 3, t, seen=False), HAND_RADIUS, BASE)
 
 
-def test_there_are_117_cells_on_the_limb():
+def test_skin_has_117_cells_on_the_limb():
     places = skin.places()
     assert places.shape == (117, 3)
     np.testing.assert_allclose(np.hypot(places[:, 0], places[:, 1]), skin.RADIUS)

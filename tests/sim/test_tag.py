@@ -24,7 +24,7 @@ def drawn(plate, depth=FAR, camera=CAMERA):
     return picture, deep, plate.draw(picture, deep, camera)
 
 
-def test_a_tag_is_drawn_where_its_centre_is():
+def test_tag_is_drawn_at_its_centre():
     rng = np.random.default_rng(1)
     errors = []
     for number in range(80):
@@ -38,7 +38,7 @@ def test_a_tag_is_drawn_where_its_centre_is():
     assert np.abs(np.mean(errors, axis=0)).max() < 0.03 and np.median(np.linalg.norm(errors, axis=1)) < 0.1
 
 
-def test_what_is_nearer_hides_it_and_it_hides_what_is_drawn_later():
+def test_tag_occlusion_follows_depth():
     plate = Plate(np.array([0.0, 0.0, 1.0]), np.eye(3), 0.2, 7)
     assert drawn(plate, depth=0.8)[2] == 0.0
     picture, depth, share = drawn(plate, depth=1.5)
@@ -47,13 +47,13 @@ def test_what_is_nearer_hides_it_and_it_hides_what_is_drawn_later():
     assert 7 in tags(picture)
 
 
-def test_half_out_of_the_image_half_of_it_is_seen():
+def test_tag_half_outside_the_image_is_half_visible():
     edge = 160.0 / 300.0
     assert drawn(Plate(np.array([edge, 0.0, 1.0]), np.eye(3), 0.2, 7))[2] == pytest.approx(0.5, abs=0.02)
     assert drawn(Plate(np.array([2 * edge, 0.0, 1.0]), np.eye(3), 0.2, 7))[2] == 0.0
 
 
-def test_its_back_and_what_is_behind_the_camera_are_not_seen():
+def test_tag_is_invisible_from_behind_or_behind_the_camera():
     back = np.diag([-1.0, 1.0, -1.0])
     assert drawn(Plate(np.array([0.0, 0.0, 1.0]), back, 0.2, 7))[2] == 0.0
     assert drawn(Plate(np.array([0.0, 0.0, -1.0]), np.eye(3), 0.2, 7))[2] == 0.0

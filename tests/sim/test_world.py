@@ -105,7 +105,7 @@ def test_wide_pictures_show_the_same_arm():
 
 
 @pytest.mark.parametrize("version, words", [((3, 11, 7), r"'$"), ((3, 13, 0), r"' \(it is compiled here: .*\)$")])
-def test_without_pybullet_it_says_what_to_install(monkeypatch, version, words):
+def test_open_world_without_pybullet_names_the_package(monkeypatch, version, words):
     monkeypatch.setitem(sys.modules, "pybullet", None)
     monkeypatch.setattr(sys, "version_info", version)
     with pytest.raises(UsageError, match=r"type: pip install 'bodylog\[sim\]" + words), open_world(ARMS["ur5"]):
@@ -123,6 +123,6 @@ with open_world(ARMS["ur5"]):
     assert (done.stdout, done.stderr) == (b"", b"")
 
 
-def test_the_stage_is_light_to_import():
+def test_sim_imports_no_heavy_package():
     code = "import sys, bodylog.sim; print({'cv2', 'pybullet', 'rosbags', 'scipy', 'mcap'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout == b"set()\n"
