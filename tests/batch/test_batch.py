@@ -195,7 +195,7 @@ def test_logs_with_the_same_name_get_different_folders(tmp_path, mixed):
 
 
 @pytest.mark.parametrize(("logs", "shard", "text"), [(["none*"], (1, 1), "no such"), (["."], (3, 2), "runs from 1")])
-def test_no_logs_or_an_impossible_shard_is_an_error(tmp_path, logs, shard, text):
+def test_share_refuses_no_logs_and_impossible_shards(tmp_path, logs, shard, text):
     with pytest.raises((LogError, UsageError), match=text):
         share(named(logs), shard)
 

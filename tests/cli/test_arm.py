@@ -47,7 +47,7 @@ def test_three_containers_of_one_motion_give_one_estimate(tmp_path, capsys, run_
         assert np.abs(other.cov - beliefs[0].cov).max() < 1e-9
 
 
-def test_the_paper_preset_ends_and_is_reported_beside_the_others(tmp_path, capsys, run_cli, arm, arm_body):
+def test_paper_preset_is_less_exact_than_encoders(tmp_path, capsys, run_cli, arm, arm_body):
     for log in ATTAINABLE:
         typed = ("estimate", arm / log, "--body", arm_body, "-o", tmp_path / "out.mcap")
         paper = _scores(_json(capsys, run_cli, *typed, "--method", "predictive-coding", "--preset", "paper"))
@@ -75,7 +75,7 @@ def test_features_are_taken_over_instead_of_the_pictures(tmp_path, capsys, run_c
     assert scores[1]["rmse/joint"] == pytest.approx(scores[0]["rmse/joint"], rel=1e-4)
 
 
-def test_the_drifting_encoder_is_named_and_no_other(tmp_path, capsys, run_cli, arm, arm_body):
+def test_estimate_names_only_the_drifting_encoder(tmp_path, capsys, run_cli, arm, arm_body):
     out = tmp_path / "out.mcap"
     found = _json(capsys, run_cli, "estimate", arm / "drift.mcap", "--body", arm_body, "-o", out)["faults"]
     assert [(fault["name"], fault["kind"]) for fault in found] == [("shoulder_pan_joint", "drifting")]

@@ -63,7 +63,7 @@ def _times_text(result):
 
 @PLACES
 @pytest.mark.parametrize("seconds", [1.0, 1.003])
-def test_a_few_stamps_that_run_backwards_are_left_out(tmp_path, capsys, run_cli, arm_body, made, log, seconds):
+def test_estimate_drops_a_few_backward_timestamps(tmp_path, capsys, run_cli, arm_body, made, log, seconds):
     def change(count, message):
         later(message, -seconds if 60 <= count < 70 else 0.0)
         return True
@@ -77,7 +77,7 @@ def test_a_few_stamps_that_run_backwards_are_left_out(tmp_path, capsys, run_cli,
 
 @PLACES
 @pytest.mark.parametrize("wrong", ["reversed", "half"])
-def test_a_clock_that_runs_backwards_is_named_and_not_used(tmp_path, capsys, run_cli, arm_body, made, log, wrong):
+def test_estimate_names_and_ignores_a_backward_clock(tmp_path, capsys, run_cli, arm_body, made, log, wrong):
     def change(count, message):
         later(message, -2.0 * (count >= 150) if wrong == "half" else -0.04 * count)
         return True
@@ -100,7 +100,7 @@ def test_joints_of_another_robot_are_named_beside_the_bodys(tmp_path, capsys, ru
 
 
 @PLACES
-def test_one_joint_of_the_body_that_is_absent_is_named(tmp_path, capsys, run_cli, arm_body, made, log):
+def test_estimate_names_an_absent_joint_of_the_body(tmp_path, capsys, run_cli, arm_body, made, log):
     def change(count, message):
         message.name = ["wrist_9_joint" if name == "elbow_joint" else name for name in message.name]
         return True
@@ -132,7 +132,7 @@ def test_encoders_of_fewer_positions_than_names_are_refused_with_why(tmp_path, c
 
 @PLACES
 @pytest.mark.parametrize("sense", ["vision", "touch"])
-def test_a_named_sense_without_an_observation_is_refused_by_name(
+def test_estimate_refuses_a_named_sense_without_observations(
     tmp_path, capsys, run_cli, arm_body, made, log, sense
 ):
     blind = made(log, _nothing, kept=lambda topic: "image" not in topic)
@@ -170,14 +170,14 @@ def test_encoders_that_lie_are_named_with_when_and_how_much(tmp_path, capsys, ru
     assert scores["rmse/joint/shoulder_pan_joint"] < 0.012
 
 
-def test_a_log_cut_before_anything_can_be_read_is_named_with_what_is_lost(tmp_path, capsys, run_cli, arm, arm_body):
+def test_log_truncated_before_any_message_is_refused(tmp_path, capsys, run_cli, arm, arm_body):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((arm / "reach.mcap").read_bytes()[:20_000])
     printed = _refused(capsys, run_cli, cut, arm_body, tmp_path / "out.mcap")
     assert "no sense has measurements" in printed and "from byte 36 19964 bytes" in printed
 
 
-def test_a_log_cut_inside_its_only_chunk_is_read_up_to_there(tmp_path, capsys, run_cli, arm, arm_body):
+def test_log_truncated_inside_its_chunk_is_read_partly(tmp_path, capsys, run_cli, arm, arm_body):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((arm / "reach.mcap").read_bytes()[:300_000])
     capsys.readouterr()

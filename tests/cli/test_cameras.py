@@ -34,7 +34,7 @@ def _estimated(capsys, run_cli, folder, body, out, *typed):
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "predictive-coding"])
-def test_two_cameras_know_more_than_one(tmp_path, capsys, run_cli, watched, method):
+def test_two_cameras_reduce_the_error_of_one(tmp_path, capsys, run_cli, watched, method):
     typed, both = ("--method", method), ("--config", watched / "both.toml")
     one = _estimated(capsys, run_cli, watched, "one.npz", tmp_path / "1.mcap", *typed)
     two = _estimated(capsys, run_cli, watched, "two.npz", tmp_path / "2.mcap", *typed, *both)
@@ -43,7 +43,7 @@ def test_two_cameras_know_more_than_one(tmp_path, capsys, run_cli, watched, meth
         assert 0.7 <= two["nees/joint"] <= 1.6 and 0.5 <= two["nis/side/effector"] <= 1.5
 
 
-def test_each_camera_has_its_track_its_error_and_its_overlay(tmp_path, capsys, run_cli, watched):
+def test_camera_has_its_own_track_error_and_overlay(tmp_path, capsys, run_cli, watched):
     out = tmp_path / "out.mcap"
     _estimated(capsys, run_cli, watched, "two.npz", out, "--config", watched / "both.toml")
     printed = _printed(capsys, run_cli, "info", out, "--config", watched / "both.toml")["log"]
@@ -61,14 +61,14 @@ def test_each_camera_has_its_track_its_error_and_its_overlay(tmp_path, capsys, r
     assert first["scores"] == second["scores"]
 
 
-def test_a_log_with_more_cameras_than_the_one_guessed_says_what_to_type(capsys, run_cli, watched):
+def test_fit_suggests_settings_for_further_cameras(capsys, run_cli, watched):
     printed = _printed(capsys, run_cli, "info", watched / "reach.mcap")["log"]
     assert printed["roles"]["camera"] == "/camera/image/compressed" and "camera/side" not in printed["roles"]
     (text,) = [f["text"] for f in printed["findings"] if f["text"].startswith("camera: ")]
     assert text.endswith("type: " + BOTH.strip().replace("\n", " "))
 
 
-def test_a_named_camera_that_shows_nothing_is_refused_with_what_was_seen(tmp_path, capsys, run_cli, watched):
+def test_fit_and_estimate_refuse_a_camera_without_sightings(tmp_path, capsys, run_cli, watched):
     (tmp_path / "blind.toml").write_text(BOTH + '[colours]\neffector = "magenta"\n')
     for typed in (
         ("fit", watched / "explore.mcap", "-o", tmp_path / "body.npz"),
@@ -80,7 +80,7 @@ def test_a_named_camera_that_shows_nothing_is_refused_with_what_was_seen(tmp_pat
         assert "\n" not in error and "effector: 'magenta' was never found in" in error and "seen: green" in error
 
 
-def test_the_page_and_the_layout_show_every_configured_camera(tmp_path, capsys, run_cli, watched):
+def test_report_and_layout_show_every_configured_camera(tmp_path, capsys, run_cli, watched):
     first, out, typed = tmp_path / "first.mcap", tmp_path / "out.mcap", ("--config", watched / "both.toml")
     _estimated(capsys, run_cli, watched, "two.npz", first, *typed)
     assert run_cli("estimate", first, "--body", watched / "two.npz", "-o", out) == 0
@@ -112,7 +112,7 @@ def test_cameras_in_another_order_than_learned_are_refused(tmp_path, capsys, run
     assert {path.suffix for path in tmp_path.iterdir()} == {".toml"}
 
 
-def test_a_camera_is_taken_for_the_body_s_of_another_name_unless_that_is_there(tmp_path, capsys, run_cli, watched):
+def test_camera_replaces_an_absent_camera_of_the_body(tmp_path, capsys, run_cli, watched):
     (tmp_path / "side.toml").write_text('[topics]\ncamera = "/side/image/compressed"\n')
     side, alone, typed = tmp_path / "side.npz", tmp_path / "alone.mcap", ("--config", tmp_path / "side.toml")
     assert run_cli("fit", watched / "explore.mcap", "-o", side, *typed) == 0
@@ -127,7 +127,7 @@ def test_a_camera_is_taken_for_the_body_s_of_another_name_unless_that_is_there(t
     assert text.endswith("/camera/image/compressed comes first here, /side/image/compressed where the body was learned")
 
 
-def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, run_cli, watched):
+def test_ingest_keeps_every_camera(tmp_path, capsys, run_cli, watched):
     tidy = tmp_path / "tidy.mcap"
     assert run_cli("ingest", watched / "reach.mcap", "-o", tidy, "--config", watched / "both.toml") == 0
     printed = _printed(capsys, run_cli, "info", tidy)["log"]
@@ -161,7 +161,7 @@ def test_features_of_two_cameras_are_enough_with_the_same_config(tmp_path, capsy
     assert "side/effector" in found["health"] and found["scores"] == kept  # features have no true poses beside them
 
 
-def test_a_head_that_turns_is_learned_and_estimated_as_a_joint(tmp_path, capsys, run_cli):
+def test_turning_head_is_learned_and_estimated_as_a_joint(tmp_path, capsys, run_cli):
     for scenario, name, seed, seconds in (("babble", "explore", 1, 25), ("reach", "reach", 11, 6)):
         where = ("-o", tmp_path / f"{name}.mcap", "--size", "160x120", "--turning")
         assert run_cli("record", scenario, *where, "--seed", seed, "--duration", seconds) == 0

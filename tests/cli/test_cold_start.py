@@ -22,7 +22,7 @@ with bodylog.logs.open({str(LOG)!r}) as log:
 
 
 @pytest.mark.parametrize("script", [INFO, READ])
-def test_nothing_heavy_is_imported(script):
+def test_import_loads_no_heavy_module(script):
     assert not _heavy(script) - _heavy("import numpy, sys")  # NumPy 1 imports some of these
 
 
@@ -32,7 +32,7 @@ def _heavy(script):
     return set(subprocess.run(command, capture_output=True, text=True, check=True, cwd="/").stderr.split())
 
 
-def test_a_command_imports_its_own_module_alone():
+def test_command_imports_only_its_own_module():
     script = f"{INFO}print(*[name for name in sys.modules if name.startswith('bodylog_cli.')], file=sys.stderr)"
     command = [sys.executable, "-c", script]
     found = subprocess.run(command, capture_output=True, text=True, check=True, cwd="/").stderr.split()

@@ -42,14 +42,14 @@ def test_estimate_then_evaluate_say_the_same_scores(tmp_path, capsys, run_cli, r
     assert values["rmse/joint"] < values["rmse/encoders"]
 
 
-def test_a_broken_bound_ends_with_4_and_says_which(tmp_path, capsys, run_cli, robot):
+def test_broken_bound_is_named_and_exits_4(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out.mcap"
     assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
     assert "rmse/joint" in _printed(capsys, 4, run_cli, "evaluate", out, "--fail-if", "rmse/joint>1e-9")
     assert run_cli("evaluate", out, "--fail-if", "rmse/joint>1") == 0
 
 
-def test_of_many_evaluated_one_that_holds_nothing_hides_no_other(tmp_path, capsys, run_cli, robot):
+def test_evaluate_continues_after_an_empty_log(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out.mcap"
     assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
     (tmp_path / "empty.mcap").write_bytes(b"")
@@ -84,7 +84,7 @@ def test_compare_has_a_row_for_every_method_and_subset(capsys, run_cli, robot):
     assert held_out["smoother encoders,vision"]["value"] > held_out["smoother encoders"]["value"]
 
 
-def test_of_many_logs_one_that_is_none_hides_no_other(capsys, run_cli, robot):
+def test_info_and_doctor_continue_after_an_absent_log(capsys, run_cli, robot):
     for name, key in (("info", "log"), ("doctor", "findings")):
         capsys.readouterr()
         logs = (robot / "reach.mcap", robot / "absent.mcap", robot / "explore.mcap")
@@ -100,7 +100,7 @@ def test_of_many_logs_one_that_is_none_hides_no_other(capsys, run_cli, robot):
 KEYS = {"input", "output", "verdict", "scores", "health", "findings", "faults", "settings"}
 
 
-def test_all_that_is_printed_as_json_has_the_same_keys(tmp_path, capsys, run_cli, robot):
+def test_json_output_has_the_same_keys_in_every_command(tmp_path, capsys, run_cli, robot):
     reach, body, out = robot / "reach.mcap", ("--body", robot / "body.npz"), tmp_path / "out.mcap"
     for typed in (
         ("estimate", reach, *body, "-o", out),
@@ -188,7 +188,7 @@ NAMES = (
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_cannot_be_done_is_one_line_and_leaves_nothing(tmp_path, capsys, run_cli, robot, name):
+def test_failed_command_prints_one_line_and_leaves_nothing(tmp_path, capsys, run_cli, robot, name):
     code, printed, typed = _wrong(robot, tmp_path)[name]
     before = {path.name for path in tmp_path.iterdir()}
     kept = (robot / "reach.mcap").read_bytes()
@@ -197,11 +197,11 @@ def test_what_cannot_be_done_is_one_line_and_leaves_nothing(tmp_path, capsys, ru
     assert (robot / "reach.mcap").read_bytes() == kept
 
 
-def test_every_wrong_case_is_tested(tmp_path, robot):
+def test_failed_command_cases_are_all_listed(tmp_path, robot):
     assert set(_wrong(robot, tmp_path)) == set(NAMES)
 
 
-def test_a_model_for_another_robot_names_the_joints_of_both(tmp_path, capsys, run_cli, robot, arm):
+def test_body_of_another_robot_names_the_joints_of_both(tmp_path, capsys, run_cli, robot, arm):
     out = tmp_path / "out.mcap"
     typed = ("record", "babble", "-o", tmp_path / "seven.mcap", "--arm", "seven", "--duration", 2, "--size", "160x120")
     assert run_cli(*typed) == 0
@@ -211,7 +211,7 @@ def test_a_model_for_another_robot_names_the_joints_of_both(tmp_path, capsys, ru
     assert not out.exists()
 
 
-def test_a_truncated_log_is_used_up_to_the_damage_and_ends_with_3(tmp_path, capsys, run_cli, robot):
+def test_truncated_log_is_used_until_damage_and_exits_3(tmp_path, capsys, run_cli, robot):
     whole = (robot / "explore.mcap").read_bytes()
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     cut.write_bytes(whole[: len(whole) * 3 // 4])
@@ -256,7 +256,7 @@ def test_plots_are_pictures(tmp_path, run_cli, robot):
         assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_what_moves_as_the_joints_do_is_offered_first_under_both_names(tmp_path, capsys, run_cli, robot):
+def test_features_and_colours_list_the_arms_target_first(tmp_path, capsys, run_cli, robot):
     sheet = tmp_path / "sheet.png"
     for name in ("features", "colours"):
         capsys.readouterr()
@@ -267,25 +267,25 @@ def test_what_moves_as_the_joints_do_is_offered_first_under_both_names(tmp_path,
         assert sheet.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_log_recorded_twice_has_the_same_bytes(tmp_path, run_cli, robot):
+def test_record_writes_the_same_bytes_twice(tmp_path, run_cli, robot):
     typed = ("record", "reach", "--duration", 4, "--seed", 2, "--size", "160x120", "-o", tmp_path / "again.mcap")
     assert run_cli(*typed) == 0
     assert (tmp_path / "again.mcap").read_bytes() == (robot / "reach.mcap").read_bytes()
 
 
-def test_a_log_in_a_folder_that_cannot_be_read_is_an_error(tmp_path, capsys, run_cli, robot):
+def test_absent_log_is_an_error(tmp_path, capsys, run_cli, robot):
     shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
     (tmp_path / "reach.mcap").unlink()
     assert "reach.mcap" in _printed(capsys, 65, run_cli, "info", tmp_path / "reach.mcap")
 
 
-def test_what_was_found_is_exported_as_tables(tmp_path, run_cli, robot):
+def test_extract_exports_features_as_tables(tmp_path, run_cli, robot):
     typed = ("extract", robot / "reach.mcap", "-o", tmp_path / "features.mcap", "--csv", tmp_path / "tables")
     assert run_cli(*typed) == 0
     assert (tmp_path / "tables" / "tracks_effector.csv").read_text().startswith("t,u,v,std_u,std_v\n")
 
 
-def test_a_named_colour_never_seen_is_an_error_a_guessed_one_a_warning(tmp_path, robot, run_cli, capsys):
+def test_unseen_colour_is_an_error_only_if_configured(tmp_path, robot, run_cli, capsys):
     (tmp_path / "robot.toml").write_text('[colours]\neffector = "magenta"\n')
     typed = ["estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap"]
     named = [*typed, "--config", tmp_path / "robot.toml"]
@@ -299,7 +299,7 @@ def test_a_named_colour_never_seen_is_an_error_a_guessed_one_a_warning(tmp_path,
 
 
 @pytest.mark.parametrize("name", ["fit", "view", "estimate", "extract", "plot", "report", "layout", "ingest"])
-def test_what_a_command_reads_it_never_writes_to(tmp_path, capsys, run_cli, robot, name):
+def test_command_refuses_to_overwrite_its_inputs(tmp_path, capsys, run_cli, robot, name):
     log, body = tmp_path / "log.mcap", tmp_path / "body.npz"
     shutil.copy(robot / "reach.mcap", log)
     shutil.copy(robot / "body.npz", body)

@@ -21,7 +21,7 @@ def _ran(capsys, run_cli, *typed):
     return {(row["method"], tuple(row["senses"])) for row in printed["rows"]}, printed
 
 
-def test_what_the_settings_leave_out_is_in_no_row(tmp_path, capsys, run_cli, robot):
+def test_compare_omits_senses_that_settings_exclude(tmp_path, capsys, run_cli, robot):
     config = tmp_path / "robot.toml"
     config.write_text('[estimate]\nwithout = ["vision", "touch", "elbow_joint"]\n')
     typed = (robot / "reach.mcap", "--body", robot / "body.npz", "--config", config)
@@ -31,7 +31,7 @@ def test_what_the_settings_leave_out_is_in_no_row(tmp_path, capsys, run_cli, rob
     assert all(row["scores"]["rmse/joint/elbow_joint"]["value"] > 0.01 for row in printed["rows"])
 
 
-def test_a_sense_the_body_lacks_is_in_no_row(tmp_path, capsys, run_cli, robot):
+def test_compare_omits_a_sense_the_body_lacks(tmp_path, capsys, run_cli, robot):
     body = storage.load(robot / "body.npz")
     noise = replace(body.noise, senses={}, std_error={k: v for k, v in body.noise.std_error.items() if k != "effector"})
     storage.save(replace(body, senses={}, noise=noise), tmp_path / "blind.npz")
@@ -47,7 +47,7 @@ def test_warnings_name_the_rows_they_are_about(capsys, run_cli, robot):
     assert sum("predictive-coding: knows no motion" in f["text"] for f in printed["findings"]) == 1
 
 
-def test_a_log_that_says_nothing_is_refused(tmp_path, capsys, run_cli, robot):
+def test_compare_refuses_a_log_without_observations(tmp_path, capsys, run_cli, robot):
     gone = ("/joint_states", "/camera/image/compressed", "/skin")
     log = spoil(robot / "reach.mcap", tmp_path / "mute.mcap", lambda *_: None, 1.0, lambda topic: topic not in gone)
     capsys.readouterr()
@@ -56,7 +56,7 @@ def test_a_log_that_says_nothing_is_refused(tmp_path, capsys, run_cli, robot):
     assert captured.out == "" and ": no sense of " in captured.err.splitlines()[-1]
 
 
-def test_a_refused_log_that_was_cut_tells_what_it_lost(tmp_path, capsys, run_cli, robot):
+def test_compare_reports_the_loss_of_a_refused_log(tmp_path, capsys, run_cli, robot):
     log = tmp_path / "cut.mcap"
     log.write_bytes((robot / "reach.mcap").read_bytes()[:2000])
     capsys.readouterr()
@@ -65,7 +65,7 @@ def test_a_refused_log_that_was_cut_tells_what_it_lost(tmp_path, capsys, run_cli
     assert ": no sense of " in last and " lost: " in last
 
 
-def test_what_is_timed_has_run_before(monkeypatch, robot):
+def test_compare_times_only_warmed_up_runs(monkeypatch, robot):
     """The pictures withheld first, then all of them: so no row pays for what the first one imports."""
     asked = []
     inner = compare.infer

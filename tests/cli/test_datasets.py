@@ -22,11 +22,11 @@ def dataset(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_every_command_that_reads_a_log_takes_an_episode(name):
+def test_commands_that_read_a_log_take_an_episode(name):
     assert any(param.name == "episode" for param in group.commands[name].params)
 
 
-def test_an_episode_is_the_same_by_name_and_by_option(dataset, run_cli, capsys):
+def test_episode_is_the_same_by_name_and_by_option(dataset, run_cli, capsys):
     found = []
     for arguments in ((f"{dataset}#2",), (dataset, "--episode", 2)):
         assert run_cli("info", *arguments, "--json") == 0
@@ -37,7 +37,7 @@ def test_an_episode_is_the_same_by_name_and_by_option(dataset, run_cli, capsys):
     assert {topic["topic"]: topic["messages"] for topic in one["topics"]}["/joint_states"] == 15
 
 
-def test_a_range_is_several_logs(dataset, run_cli, capsys):
+def test_episode_range_is_several_logs(dataset, run_cli, capsys):
     assert run_cli("info", dataset, "--episode", "0-2", "--json") == 0
     results = json.loads(capsys.readouterr().out)["results"]
     assert [one["input"] for one in results] == [f"{dataset}#{n}" for n in range(3)]
@@ -47,14 +47,14 @@ def test_a_range_is_several_logs(dataset, run_cli, capsys):
     assert "possible: a number or a range" in capsys.readouterr().err
 
 
-def test_an_episode_that_is_not_there_is_refused(dataset, run_cli, capsys):
+def test_absent_episode_is_refused(dataset, run_cli, capsys):
     assert run_cli("info", dataset, "--episode", 7) == 65
     assert "no episode 7; there are 0 to 2" in capsys.readouterr().err
     assert run_cli("info", dataset / "meta" / "info.json", "--episode", 0) == 65
     assert "has no episodes; leave out the #" in capsys.readouterr().err
 
 
-def test_a_dataset_is_converted_and_comes_back(dataset, run_cli, tmp_path, capsys):
+def test_dataset_is_converted_and_read_back(dataset, run_cli, tmp_path, capsys):
     assert run_cli("ingest", dataset, "--episode", 1, "-o", tmp_path / "run.mcap") == 0
     assert run_cli("convert", tmp_path / "run.mcap", "-o", f"{tmp_path}/new/", "--to", "lerobot", "--json") == 0
     assert json.loads(capsys.readouterr().out)["results"][0]["output"] == str(tmp_path / "new")
@@ -69,7 +69,7 @@ def test_a_dataset_is_converted_and_comes_back(dataset, run_cli, tmp_path, capsy
     assert run_cli("doctor", tmp_path / "new") == 0
 
 
-def test_a_damaged_episode_ends_with_3_and_what_is_sound(dataset, run_cli, tmp_path, capsys):
+def test_damaged_episode_keeps_its_sound_part_and_exits_3(dataset, run_cli, tmp_path, capsys):
     import shutil
 
     folder = Path(shutil.copytree(dataset, tmp_path / "set"))
@@ -83,7 +83,7 @@ def test_a_damaged_episode_ends_with_3_and_what_is_sound(dataset, run_cli, tmp_p
     capsys.readouterr()
 
 
-def test_a_batch_takes_each_episode_for_a_log(dataset, tmp_path):
+def test_batch_treats_each_episode_as_a_log(dataset, tmp_path):
     assert jobs.named([str(dataset)]) == {f"set_{n}": f"{dataset}#{n}" for n in range(3)}
     assert list(jobs.named([f"{dataset}#1-2"]).values()) == [f"{dataset}#1", f"{dataset}#2"]
     drawn.robomimic(tmp_path / "demos.hdf5")

@@ -49,7 +49,7 @@ def test_precisions_are_printed_as_used(tmp_path, capsys, run_cli, arm, arm_body
 
 
 @pytest.mark.parametrize("option", ["--precision", "--bias", "--touch", "--step", "--method"])
-def test_a_word_that_is_none_of_an_options_is_refused(tmp_path, capsys, run_cli, arm, arm_body, option):
+def test_estimate_refuses_an_unknown_choice(tmp_path, capsys, run_cli, arm, arm_body, option):
     capsys.readouterr()
     typed = ("estimate", arm / "reach.bag", "--body", arm_body, "-o", tmp_path / "out.mcap", option, "perhaps")
     assert run_cli(*typed) == 2
@@ -71,7 +71,7 @@ def test_offsets_are_learned_when_asked_or_when_the_evidence_asks(tmp_path, caps
         assert scores["rmse/joint"] < 0.009
 
 
-def test_a_fault_is_on_its_topic_and_on_the_page(tmp_path, capsys, run_cli, drift):
+def test_fault_is_on_its_topic_and_in_the_report(tmp_path, capsys, run_cli, drift):
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -92,7 +92,7 @@ def test_a_fault_is_on_its_topic_and_on_the_page(tmp_path, capsys, run_cli, drif
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_leaves_an_estimate_of_its_name(tmp_path, capsys, run_cli, arm, arm_body, method):
+def test_estimate_stores_the_name_of_its_method(tmp_path, capsys, run_cli, arm, arm_body, method):
     from bodylog.annotating.read_back import read_estimate
 
     out = tmp_path / "out.mcap"
@@ -119,7 +119,7 @@ def test_touch_has_two_readings_one_of_them_the_papers_methods_alone(tmp_path, c
     assert not list(tmp_path.iterdir())
 
 
-def test_an_unstable_step_is_warned_of_with_the_stable_one(tmp_path, capsys, run_cli, arm, arm_body):
+def test_estimate_warns_of_an_unstable_step_and_suggests_another(tmp_path, capsys, run_cli, arm, arm_body):
     """Precise encoders (those of the log) need far shorter steps than those of variance 1 the paper steps for."""
     typed = (arm / "reach.bag", arm_body, tmp_path / "out.mcap", "--method", "predictive-coding", "--step", "explicit")
 
@@ -133,7 +133,7 @@ def test_an_unstable_step_is_warned_of_with_the_stable_one(tmp_path, capsys, run
     assert 0.0 < float(text.split("largest stable Δt is ")[1].split()[0]) < 0.05
 
 
-def test_a_step_that_throws_the_belief_away_is_refused_with_the_stable_one(tmp_path, capsys, run_cli, arm, arm_body):
+def test_estimate_refuses_a_diverging_step_and_suggests_another(tmp_path, capsys, run_cli, arm, arm_body):
     typed = ("--body", arm_body, "-o", tmp_path / "out.mcap", "--method", "predictive-coding", "--step", "explicit")
     assert run_cli("estimate", arm / "reach.mcap", *typed) == 2
     printed = capsys.readouterr().err
@@ -154,7 +154,7 @@ def test_compare_needs_no_truth(tmp_path, capsys, run_cli, arm, arm_body):
     assert all((row[5] == "-") == (row[0] in ("kalman", "predictive-coding")) for row in rows)
 
 
-def test_what_a_method_refuses_is_left_out_of_the_comparison_with_a_warning(tmp_path, capsys, run_cli, arm, arm_body):
+def test_compare_warns_of_a_method_that_refuses(tmp_path, capsys, run_cli, arm, arm_body):
     """A body whose encoders read the square of the distance from the middle of what was explored."""
     from bodylog.body import Polynomial, storage
 

@@ -62,7 +62,7 @@ def test_logs_of_three_containers_are_learned_from_together(tmp_path, capsys, ru
     assert scores["used_share/effector"] == 1.0
 
 
-def test_the_papers_preset_is_the_papers(tmp_path, capsys, run_cli, arm):
+def test_paper_preset_has_the_papers_constants(tmp_path, capsys, run_cli, arm):
     typed = (arm / "explore.mcap", "--preset", "paper")
     _, scores, body = _learned(capsys, run_cli, tmp_path / "paper.npz", *typed)
     assert body["senses"]["effector"]["samples"] == 46
@@ -78,7 +78,7 @@ def test_joints_are_those_named_in_that_order_and_frames_every_nth(tmp_path, cap
     assert body["senses"]["effector"]["samples"] == 80
 
 
-def test_a_log_added_to_a_body_is_as_good_as_learned_with_the_others(tmp_path, capsys, run_cli, arm, arm_body):
+def test_fit_update_equals_learning_from_all_logs(tmp_path, capsys, run_cli, arm, arm_body):
     """In the mean; how sure each is differs, as a body keeps less of a log than the log itself."""
     from bodylog.body.storage import load
 
@@ -105,7 +105,7 @@ def test_touch_logs_teach_the_constants_and_where_each_cell_is_seen(tmp_path, ca
         assert f"  cell {int(cell)}: seen " in shown
 
 
-def test_the_body_is_plotted_over_two_joints_with_its_samples(tmp_path, run_cli, arm_body):
+def test_plot_shows_the_body_over_two_joints(tmp_path, run_cli, arm_body):
     assert run_cli("plot", arm_body, "-o", tmp_path / "body.svg") == 0
     drawn = (tmp_path / "body.svg").read_text()
     for title in ("effector u: mean", "effector u: standard deviation", "effector v: mean"):
@@ -138,7 +138,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("damage", DAMAGED)
-def test_a_damaged_body_is_refused_by_name_by_every_command(tmp_path, capsys, run_cli, arm, arm_body, damage):
+def test_damaged_body_is_refused_by_every_command(tmp_path, capsys, run_cli, arm, arm_body, damage):
     change, expected = DAMAGED[damage]
     body = tmp_path / "body.npz"
     with np.load(arm_body) as found:
@@ -171,14 +171,14 @@ def test_another_robots_body_is_not_learned_on_from(tmp_path, capsys, run_cli, r
     assert list(tmp_path.iterdir()) == [body]
 
 
-def test_a_missing_body_is_an_error(tmp_path, capsys, run_cli):
+def test_missing_body_is_an_error(tmp_path, capsys, run_cli):
     capsys.readouterr()
     assert run_cli("info", tmp_path / "none.npz") == 65
     assert "there is no such body model; type: bodylog fit LOG" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["body", "body.txt"])
-def test_a_body_of_any_name_is_printed_and_plotted(tmp_path, capsys, run_cli, arm_body, name):
+def test_body_of_any_name_is_printed_and_plotted(tmp_path, capsys, run_cli, arm_body, name):
     shutil.copy(arm_body, tmp_path / name)
     assert run_cli("info", tmp_path / name) == 0
     assert "body model of" in capsys.readouterr().out

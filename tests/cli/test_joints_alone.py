@@ -21,7 +21,7 @@ def alone(tmp_path_factory, robot, run_cli):
     return out
 
 
-def test_a_log_without_a_body_gets_its_joints_alone(robot, alone, capsys, run_cli):
+def test_estimate_without_a_body_uses_joints_alone(robot, alone, capsys, run_cli):
     with alone.open("rb") as stream:
         topics = {channel.topic for channel in make_reader(stream).get_summary().channels.values()}
     assert {"/bodylog/joint_states", "/bodylog/joint_covariance", "/bodylog/free_energy"} <= topics
@@ -33,14 +33,14 @@ def test_a_log_without_a_body_gets_its_joints_alone(robot, alone, capsys, run_cl
     assert not printed["faults"] and "rmse/joint" in printed["scores"]
 
 
-def test_what_no_sense_could_show_breaks_its_bound_without_a_body(robot, alone, run_cli):
+def test_undetectable_fault_breaks_its_bound_without_a_body(robot, alone, run_cli):
     name = recording.read(robot / "reach.mcap", Settings()).joints.names[0]
     assert run_cli("evaluate", alone, "--fail-if", "faults>0", "--fail-if", f"fault/frozen/{name}>0") == 0
     assert run_cli("evaluate", alone, "--fail-if", f"fault/encoder_offset/{name}>0.05") == 4
     assert run_cli("evaluate", alone, "--fail-if", "fault/encoder_offset/nobody>0.05") == 2
 
 
-def test_a_bound_of_estimate_is_checked_after_the_log_is_written(tmp_path, robot, run_cli):
+def test_estimate_checks_bounds_after_writing_the_log(tmp_path, robot, run_cli):
     typed = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "a.mcap", "--fail-if")
     assert run_cli(*typed, "fault/*>0.05") == 0
     assert run_cli(*typed, "nis/encoders>0.01") == 4 and (tmp_path / "a.mcap").exists()
@@ -77,7 +77,7 @@ def test_truth_of_other_joints_or_another_time_is_refused_with_what_is_possible(
         assert why in capsys.readouterr().err
 
 
-def test_a_real_robots_joints_are_estimated_without_a_body(tmp_path, run_cli, capsys):
+def test_estimate_without_a_body_handles_a_real_robot(tmp_path, run_cli, capsys):
     log = SHARED / "ipab-slmc__kuka_honeypot_demo" / "data" / "test.bag"
     if not log.exists():
         pytest.skip(f"{log} is not at hand")

@@ -16,7 +16,7 @@ from tests.logs.writing import T0, write
 EVIL = "\x1b[2J\x1b]0;title\x07\nbodylog: all is well"
 
 
-def test_a_terminal_obeys_no_name(tmp_path: Path, capsys, monkeypatch, run_cli) -> None:
+def test_output_escapes_control_characters_in_names(tmp_path: Path, capsys, monkeypatch, run_cli) -> None:
     import click
 
     monkeypatch.setattr(click.utils, "should_strip_ansi", lambda *_: False)  # as on a terminal
@@ -46,7 +46,7 @@ def test_files_may_be_called_anything(tmp_path: Path, capsys, run_cli) -> None:
     assert {file.name for file in folder.rglob("joints.*")} == {"joints.csv", "joints.parquet"}
 
 
-def test_a_folder_where_a_file_is_is_refused_before_anything_is_written(tmp_path: Path, capsys, run_cli) -> None:
+def test_folder_option_refuses_a_file_before_writing(tmp_path: Path, capsys, run_cli) -> None:
     taken = write(tmp_path / "x.mcap", [joints("/joints", [(T0, joint_state(T0, ("a",), (0.1,)))])])
     for typed in (("ingest", "--csv", taken), ("extract", "--csv", taken / "in"), ("report", "--figures", taken)):
         assert run_cli(typed[0], taken, "-o", tmp_path / "out", *typed[1:]) == 73
@@ -54,7 +54,7 @@ def test_a_folder_where_a_file_is_is_refused_before_anything_is_written(tmp_path
         assert [*tmp_path.iterdir()] == [taken]
 
 
-def test_what_nobody_hears_changes_no_exit_code(tmp_path: Path) -> None:
+def test_full_standard_error_keeps_the_exit_code(tmp_path: Path) -> None:
     """/dev/full takes nothing: as a terminal that is gone."""
     command = [sys.executable, "-m", "bodylog_cli", "info"]
     for typed, code in ((tmp_path / "absent", 65), ("--unknown", 2)):
@@ -112,7 +112,7 @@ def test_many_logs_evaluated_are_a_table_with_a_row_for_each(tmp_path, capsys, r
     assert len({len(row) for row in (head, *rows)}) == 1
 
 
-def test_a_fault_is_printed_once(capsys) -> None:
+def test_fault_is_printed_once(capsys) -> None:
     from bodylog.fault_findings import fault_warnings
     from bodylog.pipeline import Result
     from bodylog.types import Fault
@@ -146,7 +146,7 @@ def test_help_lists_every_command_once_with_its_whole_summary(capsys, run_cli) -
         ("bodylog estimate --prec", {"--precision"}),
     ],
 )
-def test_the_shell_completes_commands_options_and_choices(words: str, expected: set[str]) -> None:
+def test_shell_completes_commands_options_and_choices(words: str, expected: set[str]) -> None:
     asked = {"_BODYLOG_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
     command = [sys.executable, "-c", "import bodylog_cli; bodylog_cli.main()"]
     done = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, timeout=60)
@@ -154,7 +154,7 @@ def test_the_shell_completes_commands_options_and_choices(words: str, expected: 
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_lines_of_the_page_give_a_completion_script(shell: str) -> None:
+def test_documented_completion_lines_give_a_script(shell: str) -> None:
     page = (Path(__file__).parents[2] / "docs" / "cli.md").read_text()
     assert f"_BODYLOG_COMPLETE={shell}_source bodylog" in page
     command = [sys.executable, "-c", "import bodylog_cli; bodylog_cli.main()"]

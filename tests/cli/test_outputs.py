@@ -35,7 +35,7 @@ PAIRS = [
 IDS = [f"{command.name} {read.name} {written.name}" for command, read, written in PAIRS]
 
 
-def test_every_option_that_writes_says_so_by_its_type():
+def test_output_options_have_an_output_type():
     """So that the guard knows it; a new command whose output has another type fails here."""
     wrong = []
     for command in bodylog.commands.values():
@@ -97,7 +97,7 @@ def _refused(capsys, run_cli, folder, words):
 
 @pytest.mark.parametrize("way", FILES)
 @pytest.mark.parametrize(("command", "read", "written"), PAIRS, ids=IDS)
-def test_an_output_that_is_an_input_is_refused(tmp_path, capsys, run_cli, command, read, written, way):
+def test_output_equal_to_an_input_is_refused(tmp_path, capsys, run_cli, command, read, written, way):
     source, spare = tmp_path / "source.mcap", tmp_path / "spare"
     source.write_bytes(b"precious")
     spare.write_bytes(b"spare")
@@ -114,7 +114,7 @@ def test_an_output_that_is_an_input_is_refused(tmp_path, capsys, run_cli, comman
 
 @pytest.mark.parametrize("name", ["run_0.db3", "metadata.yaml", "new.mcap", "deep/new.mcap"])
 @pytest.mark.parametrize(("command", "read", "written"), PAIRS, ids=IDS)
-def test_an_output_in_an_input_folder_is_refused(tmp_path, capsys, run_cli, command, read, written, name):
+def test_output_in_an_input_folder_is_refused(tmp_path, capsys, run_cli, command, read, written, name):
     spare = tmp_path / "spare"
     spare.write_bytes(b"spare")
     source = _rosbag2(tmp_path / "run")
@@ -134,7 +134,7 @@ def _rosbag2(folder):
     return folder
 
 
-def test_a_recording_is_all_of_its_files(tmp_path):
+def test_output_refuses_every_file_of_a_recording(tmp_path):
     """Named by one of them, or holding links to files elsewhere; other names beside a file are free."""
     run = _rosbag2(tmp_path / "run")
     elsewhere = tmp_path / "elsewhere" / "run_1.db3"
@@ -168,7 +168,7 @@ def test_names_that_differ_in_case_alone_are_one_where_the_disk_says_so(tmp_path
     guard([run], [Output(tmp_path / "RUN2.mcap")])
 
 
-def test_a_video_that_the_settings_name_is_an_input(tmp_path, capsys, run_cli, robot):
+def test_output_refuses_a_video_from_the_settings(tmp_path, capsys, run_cli, robot):
     shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
     (tmp_path / "side.avi").write_bytes(b"precious")
     (tmp_path / "robot.toml").write_text('[topics]\ncamera = "side.avi"\n')
@@ -177,14 +177,14 @@ def test_a_video_that_the_settings_name_is_an_input(tmp_path, capsys, run_cli, r
         _refused(capsys, run_cli, tmp_path, typed)
 
 
-def test_a_table_that_the_settings_name_is_an_input(tmp_path):
+def test_output_refuses_a_table_from_the_settings(tmp_path):
     settings = Settings(features={"finger": TableSource("tracks.csv")})
     (tmp_path / "tracks.csv").touch()
     with pytest.raises(UsageError, match="is also an input"):
         distinct([tmp_path / "run.mcap"], [Output(tmp_path / "tracks.csv")], settings)
 
 
-def test_a_file_url_is_the_file(tmp_path, capsys, run_cli, robot):
+def test_output_refuses_a_file_url_of_an_input(tmp_path, capsys, run_cli, robot):
     pytest.importorskip("fsspec", reason="the cloud extra is not installed")
     log = tmp_path / "reach.mcap"
     shutil.copy(robot / "reach.mcap", log)
@@ -192,7 +192,7 @@ def test_a_file_url_is_the_file(tmp_path, capsys, run_cli, robot):
     _refused(capsys, run_cli, tmp_path, ("batch", f"file://{log}", "--body", robot / "body.npz", "-o", tmp_path))
 
 
-def test_two_outputs_are_not_one(tmp_path, capsys, run_cli, robot):
+def test_outputs_of_one_path_are_refused(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out"
     for folder in (out, out / "tables"):
         assert run_cli("ingest", robot / "reach.mcap", "-o", out, "--csv", folder) == 2
@@ -200,7 +200,7 @@ def test_two_outputs_are_not_one(tmp_path, capsys, run_cli, robot):
 
 
 @pytest.mark.parametrize("place", ["folder", "folder/", "pipe", "no/out.mcap", "out.mcap/", "loop", "/dev/full", "."])
-def test_a_place_that_cannot_be_written_is_refused_before_anything_is_read(
+def test_unwritable_output_is_refused_before_reading(
     tmp_path, capsys, run_cli, monkeypatch, place
 ):
     (tmp_path / "folder").mkdir()
@@ -214,7 +214,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_read(
     assert sorted(os.listdir(tmp_path)) == ["folder", "loop", "pipe"]
 
 
-def test_a_stream_is_a_device(capsys, run_cli):
+def test_output_refuses_a_stream_as_a_device(capsys, run_cli):
     """What /dev/stdout leads to, where that is a pipe, has no name."""
     read, write = os.pipe()
     assert run_cli("ingest", "absent.mcap", "-o", f"/dev/fd/{write}") == 73

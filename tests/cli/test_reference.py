@@ -35,7 +35,7 @@ def test_squares_are_learned_by_the_reference_and_estimated_without(tmp_path, ca
     assert alone["rmse/joint"] < 0.006 and 0.5 < alone["nees/joint"] < 1.5
 
 
-def test_without_the_reference_squares_are_taken_for_angles(tmp_path, capsys, run_cli, squared):
+def test_fit_without_a_reference_treats_squares_as_angles(tmp_path, capsys, run_cli, squared):
     body = tmp_path / "body.npz"
     _, findings = _printed(capsys, run_cli, "fit", squared / "explore.mcap", "-o", body)
     assert not any("reference" in text for text in findings)
@@ -44,7 +44,7 @@ def test_without_the_reference_squares_are_taken_for_angles(tmp_path, capsys, ru
     assert scores["rmse/joint"] > 1.0
 
 
-def test_a_reference_that_is_not_there_is_refused_by_fit_alone(tmp_path, capsys, run_cli, robot):
+def test_absent_reference_is_refused_only_by_fit(tmp_path, capsys, run_cli, robot):
     config = tmp_path / "reference.toml"
     config.write_text('[topics]\nreference = "/motion_capture/joints"\n')
     capsys.readouterr()

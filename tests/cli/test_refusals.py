@@ -45,7 +45,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("typed", CASES)
-def test_the_line_begins_with_the_log(capsys, run_cli, robot, logs, typed):
+def test_refusal_begins_with_the_log(capsys, run_cli, robot, logs, typed):
     body = robot / "body.npz"
     words = [body if word == "body.npz" else logs / word if "." in word else word for word in typed.split()]
     capsys.readouterr()
@@ -65,7 +65,7 @@ def test_the_line_begins_with_the_log(capsys, run_cli, robot, logs, typed):
         "batch reach.mcap --train pipe.mcap -o out",
     ],
 )
-def test_a_pipe_is_refused_before_anybody_waits_for_it(tmp_path, robot, typed):
+def test_pipe_is_refused_without_waiting(tmp_path, robot, typed):
     os.mkfifo(tmp_path / "pipe.mcap")
     known = {"pipe.mcap": tmp_path / "pipe.mcap", "body.npz": robot / "body.npz", "reach.mcap": robot / "reach.mcap"}
     words = [known.get(word, tmp_path / word if word.startswith("out") else word) for word in typed.split()]

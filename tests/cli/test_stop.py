@@ -48,7 +48,7 @@ def _shown(process, number, folder):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_a_stopped_command_leaves_nothing_half_written(tmp_path, robot, number):
+def test_stopped_command_leaves_no_partial_output(tmp_path, robot, number):
     out, typed = tmp_path / "out.mcap", ("estimate", robot / "reach.mcap", "--body", robot / "body.npz")
     out.write_bytes(b"of an earlier run")
     with _started(_command(*typed, "-o", out)) as process:
@@ -60,7 +60,7 @@ def test_a_stopped_command_leaves_nothing_half_written(tmp_path, robot, number):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_stopped_batch_ends_its_workers_without_a_trace(tmp_path, robot, number):
+def test_stopped_batch_ends_its_workers_without_traceback(tmp_path, robot, number):
     typed = ("batch", robot / "reach.mcap", robot / "explore.mcap", "--body", robot / "body.npz", "--jobs", 2)
     with _started(_command(*typed, "-o", tmp_path)) as process:
         assert "nothing half-written was left" in _shown(process, number, tmp_path)
@@ -113,7 +113,7 @@ bodylog_cli.main()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_a_command_that_is_in_a_librarys_c_code_ends_in_time(tmp_path, robot, number):
+def test_command_inside_c_code_stops_in_time(tmp_path, robot, number):
     words = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap")
     with _started([sys.executable, "-c", IN_C, *map(str, words)]) as process:
         while not list(tmp_path.glob(".*.part")):
@@ -147,7 +147,7 @@ COMMANDS = {
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_ends_in_time_whenever_it_is_stopped(tmp_path, robot, name):
+def test_command_stops_in_time_at_any_moment(tmp_path, robot, name):
     """After its start: while Python itself starts, a signal ends Python."""
     rng = random.Random(name)
     for k in range(24):
@@ -171,7 +171,7 @@ def test_every_command_ends_in_time_whenever_it_is_stopped(tmp_path, robot, name
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_stopped_reproduction_does_not_wait_for_its_runs(tmp_path, number):
+def test_stopped_reproduction_does_not_wait_for_its_runs(tmp_path, number):
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     typed = ("reproduce", "E2", "--seeds", 2, "--jobs", 2)
     with _started(_command(*typed, "-o", tmp_path)) as process:
@@ -210,7 +210,7 @@ FULL = {
 
 
 @pytest.mark.parametrize("name", FULL)
-def test_a_full_disk_is_one_line_and_nothing_is_left(tmp_path, robot, name):
+def test_full_disk_prints_one_line_and_leaves_nothing(tmp_path, robot, name):
     words = [tmp_path / word if word.startswith("out.") else word for word in FULL[name]]
     words = [robot / word if (robot / word).is_file() else word for word in words]
 
@@ -224,7 +224,7 @@ def test_a_full_disk_is_one_line_and_nothing_is_left(tmp_path, robot, name):
     assert all(line.startswith(("info: ", "warning: ")) for line in talk) and not list(tmp_path.iterdir())
 
 
-def test_a_reader_that_leaves_is_no_bug(robot):
+def test_closed_standard_output_is_not_a_bug(robot):
     typed = _command("compare", robot / "reach.mcap", "--body", robot / "body.npz")
     with subprocess.Popen(typed, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0) as process:
         assert process.stdout.readline().startswith(b"method")
@@ -233,7 +233,7 @@ def test_a_reader_that_leaves_is_no_bug(robot):
     assert process.returncode == 141
 
 
-def test_a_pipe_is_no_log(tmp_path, capsys, run_cli):
+def test_pipe_is_not_a_log(tmp_path, capsys, run_cli):
     os.mkfifo(tmp_path / "log.mcap")
     assert run_cli("info", tmp_path / "log.mcap") == 65
     assert "is a pipe or device" in capsys.readouterr().err

@@ -44,14 +44,14 @@ def test_tags_give_tracks_and_a_body_that_keeps_their_settings(tagged, run_cli, 
     assert name == "rim" and tracks == names[1:] and places[2].tolist() == [0.04, 0.04, 0.0]
 
 
-def test_a_tag_that_is_not_there_is_refused_by_name(tagged, run_cli, capsys) -> None:
+def test_absent_tag_is_refused_by_name(tagged, run_cli, capsys) -> None:
     (tagged / "other.toml").write_text(TOML % "elbow = { tag = 11 }")
     code = run_cli("fit", tagged / "log.mcap", "-o", tagged / "none.npz", "--config", tagged / "other.toml")
     printed = capsys.readouterr().err
     assert code == 65 and "elbow: nothing usable" in printed and not (tagged / "none.npz").exists()
 
 
-def test_a_point_in_a_plain_place_is_refused_with_the_log_and_the_key(tagged, run_cli, capsys) -> None:
+def test_point_at_the_border_is_refused_with_the_key(tagged, run_cli, capsys) -> None:
     (tagged / "point.toml").write_text("[features]\ntip = { point = [1.0, 1.0], at = 1.0 }\n")
     code = run_cli("extract", tagged / "log.mcap", "-o", tagged / "no.mcap", "--config", tagged / "point.toml")
     printed = capsys.readouterr().err
@@ -59,7 +59,7 @@ def test_a_point_in_a_plain_place_is_refused_with_the_log_and_the_key(tagged, ru
     assert not (tagged / "no.mcap").exists()
 
 
-def test_a_tag_and_a_point_on_it_are_as_exact_as_stated(tagged) -> None:
+def test_tag_and_point_have_their_stated_precision(tagged) -> None:
     import numpy as np
 
     from bodylog import logs, pipeline

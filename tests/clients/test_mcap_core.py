@@ -64,18 +64,18 @@ def _whole(read, path):
     return set(expected)
 
 
-def test_every_message_is_read_and_decoded_both_ways(read, annotated):
+def test_mcap_core_decodes_every_message_both_ways(read, annotated):
     assert {"/bodylog/touch", "/bodylog/synchrony", "/bodylog/annotations"} <= _whole(read, annotated)
 
 
-def test_so_is_what_became_of_a_bag_and_of_an_extract(read, run_cli, arm, arm_body, tmp_path):
+def test_mcap_core_reads_annotated_bags_and_extracts(read, run_cli, arm, arm_body, tmp_path):
     assert run_cli("estimate", arm / "reach.bag", "--body", arm_body, "-o", tmp_path / "bag.mcap") == 0
     assert run_cli("extract", arm / "touch.mcap", "-o", tmp_path / "features.mcap") == 0
     assert {"/tomm/truth", "/bodylog/joint_states"} <= _whole(read, tmp_path / "bag.mcap")
     assert {"/bodylog/track/effector", "/bodylog/touch"} <= _whole(read, tmp_path / "features.mcap")
 
 
-def test_it_decodes_the_values_we_wrote(read, annotated):
+def test_mcap_core_decodes_the_written_values(read, annotated):
     from bodylog.annotating import read_back as log
 
     estimate, topics = log.read_estimate(annotated), read(annotated)["topics"]
