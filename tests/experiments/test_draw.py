@@ -35,13 +35,13 @@ def claim():
     return paper("E0.1", "text", "what", "rad", Bound("≤", 0.5), "it", lambda key, name: (by[key],) * 3, tried, swept)
 
 
-def test_a_dot_per_reading_and_the_bound_same_bytes_twice(tmp_path):
+def test_spreads_draw_readings_and_bound_with_identical_bytes(tmp_path):
     for name in ("a.svg", "b.svg"):
         draw.spreads([claim()], tmp_path / name)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
     assert {"E0.1 what: ≤ 0.5 rad", "centre", "sigma_v=widths"} <= words(tmp_path / "a.svg")
 
 
-def test_what_is_swept_has_its_axis(tmp_path):
+def test_sweeps_label_the_swept_axis(tmp_path):
     draw.sweeps([claim()], tmp_path / "s.svg")
     assert {"E0.1 what", "σ_v: unit in px"} <= words(tmp_path / "s.svg")

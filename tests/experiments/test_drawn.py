@@ -9,7 +9,7 @@ from bodylog.experiments.lab import JOINTS, ObservedLog
 from bodylog.settings import Settings
 
 
-def test_what_is_drawn_is_where_the_simulator_shows_it(robot):
+def test_place_equals_the_simulators_track(robot):
     read, features = pipeline.observe(robot / "reach.mcap", Settings())
     track, truth = features.effector, ObservedLog(features, read.truth)
     seen = np.isfinite(track.values).all(axis=1)
@@ -18,14 +18,14 @@ def test_what_is_drawn_is_where_the_simulator_shows_it(robot):
 
 
 @pytest.mark.parametrize("period", [4.0, 15.0])
-def test_it_moves_at_its_period_within_what_was_explored(period):
+def test_swinging_keeps_its_period_and_explored_range(period):
     t, x = drawn.swinging(period, 3, (True, True, False), t=np.arange(0.0, 3 * period, 0.01))
     again = drawn.swinging(period, 3, (True, True, False), t=t + period)[1]
     assert np.allclose(x[:, 0], again[:, 0]) and np.ptp(x[:, 0]) > 0.5 and np.ptp(x[:, 2]) == 0.0
     assert np.all(np.abs(x - drawn.ARM.home[:3]) <= 0.7 * np.array(drawn.ARM.swing[:3]) + 1e-12)
 
 
-def test_it_rests_until_it_begins_and_encoders_read_what_is_asked():
+def test_log_rests_until_its_begin_and_squares_encoders():
     log = drawn.log(4.0, 0.0, 1, begins=5.0, square=True)
     t, x = log.truth.t, log.truth.values
     assert np.ptp(x[t < 5.0], axis=0).max() == 0.0 < np.ptp(x[t > 5.0], axis=0).min()

@@ -9,7 +9,7 @@ from bodylog.types import Features, Series
 T = np.arange(0.0, 30.0, 0.5)
 
 
-def test_the_drift_is_in_the_first_encoder_alone():
+def test_drifted_changes_only_the_first_encoder():
     joints = Series(T, np.ones((len(T), 3)), JOINTS, "rad", T)
     found = drifted(ObservedLog(Features(joints, {}, None, (), (), {}), joints)).features.joints.values
     assert np.allclose(found[:, 0], 1.0 + 0.3 * np.clip((T - 8.0) / 16.0, 0.0, 1.0)) and np.all(found[:, 1:] == 1.0)

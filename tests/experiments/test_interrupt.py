@@ -58,7 +58,7 @@ class KilledAtSeedOne(Reproduction):
         return {"figures": {}, "panels": []}
 
 
-def test_a_killed_worker_ends_in_one_line_and_finished_runs_are_kept(tmp_path):
+def test_killed_worker_prints_one_line_and_keeps_finished_runs(tmp_path):
     wish, finished = KilledAtSeedOne(tmp_path, jobs=1), []
     with pytest.raises(PartError, match=r"^[^\n]*a worker process was killed[^\n]*; type the same command") as problem:
         finished.extend(run._pooled(wish, [("E2", 0), ("E2", 1)]))

@@ -32,7 +32,7 @@ def named(**by):
     return {(key.replace("__", "=").replace("_AND_", ","), "it"): value for key, value in by.items()}
 
 
-def test_the_four_verdicts():
+def test_judged_gives_each_verdict():
     assert judged(named(centre=LOW, sigma_n__noise=LOW)).verdict == "holds in every reading"
     assert judged(named(centre=LOW, sigma_n__noise=HIGH, mu_x__zero=LOW)).verdict == "depends on σ_n"
     three = named(centre=HIGH, sigma_n__noise=HIGH, mu_x__zero=NAN)
@@ -41,14 +41,14 @@ def test_the_four_verdicts():
     assert untestable("E0.1", "", "why").verdict == "not testable here"
 
 
-def test_where_several_constants_at_once_turn_it_all_are_named():
+def test_judged_names_all_constants_that_jointly_change_it():
     found = {("centre", "it"): LOW, ("sigma_v=widths", "it"): LOW, ("sigma_n=noise,sigma_v=widths", "it"): HIGH}
     assert judged(found).verdict == "depends on σ_n, σ_v"
     alone = {**found, ("sigma_v=widths", "it"): HIGH}
     assert judged(alone).verdict == "depends on σ_v"
 
 
-def test_a_sweep_says_where_it_turns_and_only_of_what_it_depends_on():
+def test_judged_gives_turning_points_only_of_decisive_sweeps():
     found = named(centre=LOW, speed__4=HIGH, speed__30=LOW, noise__0=LOW) | {("speed=10", "it"): HIGH}
     swept = [
         ("speed", 4.0, "speed=4"),
@@ -62,7 +62,7 @@ def test_a_sweep_says_where_it_turns_and_only_of_what_it_depends_on():
     assert list(claim.sweeps) == ["speed"] and [number for number, _ in claim.sweeps["speed"]] == [4.0, 10.0, 30.0]
 
 
-def test_a_claim_whose_control_fails_is_not_kept():
+def test_judged_drops_a_claim_whose_control_fails():
     found = {("centre", "it"): LOW, ("centre", "moved"): HIGH}
     kept = judged(found, controls=[Control("moved", "rad", Bound("≥", 1.0), "moved")])
     assert kept.outcomes["centre"].keeps and kept.controls == ("moved: ≥ 1 rad",)
@@ -75,13 +75,13 @@ def test_nine_of_ten_seeds_must_hold(wrong, expected):
     assert own("E0.1", "", "", "1", Bound("≤", 1.0), LOW[wrong:] + HIGH[:wrong]).verdict == expected
 
 
-def test_a_belief_that_diverged_never_holds():
+def test_own_claim_fails_for_a_diverged_belief():
     for sign in "≤≥":
         found = own("E0.1", "", "", "1", Bound(sign, 0.0), NAN)
         assert found.verdict == "does not hold" and math.isnan(found.outcomes["default"].median)
 
 
-def test_of_a_comparison_the_last_decides():
+def test_comparison_is_decided_by_its_last_outcome():
     both = {"published": HIGH, "ours": LOW}
     assert comparison("R.1", "", "", "px", Bound("≤", 1.0), both, "a", "b").verdict == "holds"
 
@@ -91,7 +91,7 @@ def test_variants_depend_on_what_they_differ_in():
     assert claim.verdict == "depends on sparsity" and claim.turns == "not kept: dense; kept: sparse"
 
 
-def test_the_interval_of_a_median_covers_it():
+def test_interval_covers_the_median():
     """Order statistics 2 and 9 of ten hold the median with 97.9 %, 3 and 8 with 89 % only."""
     assert interval(range(10)) == (1, 8) and interval(range(20)) == (5, 14)
     assert interval([3.0, 1.0]) == (1.0, 3.0) and all(map(math.isnan, interval([])))

@@ -31,12 +31,12 @@ def _small(monkeypatch):
     monkeypatch.delenv("BODYLOG_OUT", raising=False)
 
 
-def test_there_is_a_notebook_for_every_experiment():
+def test_experiments_all_have_a_notebook():
     assert set(NOTEBOOKS) == set(SAYS) and {f"e{k}" for k in range(1, 7)} <= {name[:2] for name in NOTEBOOKS}
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)
-def test_it_runs_and_says_so(name):
+def test_notebook_runs_and_reports_success(name):
     notebook = nbformat.read(NOTEBOOKS[name], as_version=4)
     nbformat.validate(notebook)
     reported, names = io.StringIO(), {}
@@ -48,7 +48,7 @@ def test_it_runs_and_says_so(name):
     assert re.search(SAYS[name], reported.getvalue(), re.MULTILINE), reported.getvalue()
 
 
-def test_a_kernel_runs_it_too(tmp_path):
+def test_notebook_runs_in_a_kernel(tmp_path):
     notebook = nbformat.read(NOTEBOOKS["from_the_page"], as_version=4)
     nbclient.NotebookClient(
         notebook, timeout=120, kernel_name="python3", resources={"metadata": {"path": tmp_path}}

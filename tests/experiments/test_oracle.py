@@ -50,7 +50,7 @@ def test_known_finds_the_order_of_motion_by_evidence(order):
     assert errors[0] > 2 * errors[1] > 2 * errors[2]
 
 
-def test_the_filter_is_the_textbooks_of_the_other_tests():
+def test_oracle_filter_equals_the_textbook_filter():
     sensed, _ = simulated(2, count=120)
     eye = textbook.eyes(ARMS["ur5"], JOINTS, (320, 240))[0]
     frames = [(eye, sensed.place, sensed.pixel_var)]

@@ -9,7 +9,7 @@ from bodylog.experiments.judging import Bound, comparison, erratum, own, paper, 
 from bodylog.experiments.readings import CONSTANTS
 
 
-def test_the_page_needs_nothing_from_outside(small):
+def test_page_needs_no_network(small):
     wish, claims, _ = small
     html = (wish.out / "index.html").read_text()
     assert not re.search(r"(?:src|href)=\"(?!data:)", html) and not re.search(r"(https?:)?//[a-z]", _words(html))
@@ -34,13 +34,13 @@ def test_claims_name_reading_bound_figure_and_interval(small):
             assert found["interval"][0] <= found["median"] <= found["interval"][1]
 
 
-def test_every_open_constant_stands_on_the_page_with_its_readings(small):
+def test_page_lists_open_constants_with_their_readings(small):
     wish, _, _ = small
     html = (wish.out / "index.html").read_text()
     assert all(f"<td>{name}</td>" in html for name in CONSTANTS)
 
 
-def test_the_numbers_behind_the_figures_are_tables(small):
+def test_page_has_tables_of_its_figures_numbers(small):
     wish, _, _ = small
     with open(wish.out / "data" / "E2.csv", encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))

@@ -48,7 +48,7 @@ def _tables(trials):
     return (Table(HOSTILE, (HOSTILE, "b"), ((HOSTILE, "1"),)),)
 
 
-def test_it_opens_without_complaint_and_draws_every_panel(opened):
+def test_page_opens_without_errors_and_draws_every_panel(opened):
     assert opened.complaints() == []
     sizes = opened.run("return [...document.querySelectorAll('canvas')].map((c) => [c.width, c.height])")
     assert len(sizes) == 4 and not set(opened.run(DRAWN)) & {opened.run(BLANK, *size) for size in sizes}

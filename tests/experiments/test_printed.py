@@ -38,7 +38,7 @@ def signals():
 
 
 @pytest.mark.parametrize("integration", ["printed", "implicit"])
-def test_it_is_what_estimation_computes(known, signals, integration):
+def test_printed_model_equals_estimation(known, signals, integration):
     """In the reading of the preset `paper`: noise of exp(0.02) px, σ_v in squared widths."""
     found = samples(known.x, known.y)
     gp = build(found, paper(found), ("u", "v"), "px")
@@ -52,7 +52,7 @@ def test_it_is_what_estimation_computes(known, signals, integration):
     assert np.allclose(mine, theirs, atol=1e-9) and np.abs(np.diff(mine, axis=0)).max() > 1e-3
 
 
-def test_the_noise_reading_is_the_preset(known):
+def test_noise_reading_equals_the_preset(known):
     found = samples(known.x, known.y)
     gp = build(found, paper(found), ("u", "v"), "px")
     x = np.random.default_rng(5).uniform(-0.4, 0.4, (20, 3))
@@ -123,13 +123,13 @@ def test_units_are_those_of_the_reading(known):
     assert np.array_equal(case(known, {"mu_x": "home"}, "p", start).prior, known.home)
 
 
-def test_the_hand_is_put_where_the_effector_is(signals):
+def test_placed_moves_the_hand_to_the_effector(signals):
     by, hand = np.array([3.0, -30.0]), np.ones((STEPS, 2))
     seen = Signals(signals.t, signals.encoders, signals.place, hand, signals.delay, signals.true)
     assert np.array_equal(placed(seen, {}, by).hand, hand - by) and placed(seen, {"o_v": "hand"}, by) is seen
 
 
-def test_the_static_filter_settles_at_its_gain():
+def test_kalman_settles_at_its_static_gain():
     """Of Q = 0.001 and R = 1: the steady gain k solves k² / (1 − k) = Q/R."""
     t = np.zeros(400)
     gaps = [np.full((400, n), np.nan) for n in (2, 2)]

@@ -18,7 +18,7 @@ from bodylog.experiments.readings import (
 )
 
 
-def test_every_constant_says_where_it_is_printed_and_has_alternatives():
+def test_constants_have_a_source_and_alternatives():
     for constant in CONSTANTS.values():
         assert constant.printed and constant.place and constant.why and len(constant.values) >= 2
         assert set(constant.at) <= set(constant.values) and (not constant.sweep or constant.unit)
@@ -27,11 +27,11 @@ def test_every_constant_says_where_it_is_printed_and_has_alternatives():
 
 
 @pytest.mark.parametrize("reading", [{}, *TOGETHER, {"speed": "30"}, {"sigma_n": "noise"}])
-def test_a_key_is_read_back(reading):
+def test_key_is_read_back(reading):
     assert key(parsed(key(reading))) == key(reading)
 
 
-def test_the_centre_is_the_centre_however_it_is_typed():
+def test_centre_has_one_key_however_typed():
     assert key(parsed("sigma_n=amplitude,speed=15")) == CENTRE == key({})
     assert value({}, "sigma_n") == "amplitude" and number({"noise": "0.1"}, "noise") == 0.1
     assert number({"sigma_v": "widths"}, "sigma_v") is None and number({"sigma_v": "17"}, "sigma_v") == 17.0
@@ -54,7 +54,7 @@ def test_parsed_names_the_possible_values(typed, given):
     assert given in str(found.value)
 
 
-def test_a_design_has_the_centre_each_value_and_what_is_together():
+def test_design_has_centre_single_values_and_joint_readings():
     found = [key(reading) for reading in design(("sigma_n", "sigma_v"))]
     assert found[0] == CENTRE and len(found) == len(set(found))
     assert {"sigma_n=noise", "sigma_v=pixels", "sigma_n=noise,sigma_v=widths"} <= set(found)

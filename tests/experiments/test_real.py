@@ -14,7 +14,7 @@ REAL = Path(__file__).parents[3] / "shared" / "real"
 DOCS = Path(__file__).parents[2] / "docs" / "real.md"
 
 
-def test_a_folder_without_measurements_is_refused_before_anything_runs(tmp_path):
+def test_folder_without_measurements_is_refused_before_running(tmp_path):
     with pytest.raises(
         UsageError, match=r"no robot's measurements in it; possible: nao/left_train\.csv.*docs/real\.md"
     ):
@@ -22,12 +22,12 @@ def test_a_folder_without_measurements_is_refused_before_anything_runs(tmp_path)
     assert not (tmp_path / "out").exists()
 
 
-def test_the_page_says_where_each_robots_files_are_from():
+def test_page_states_the_source_of_each_robots_files():
     text = DOCS.read_text()
     assert all(name in text for robot in ROBOTS.values() for name in robot.files)
 
 
-def test_what_is_missing_is_in_the_table_and_not_among_the_claims():
+def test_missing_robot_is_in_the_table_without_a_claim():
     trial = {"figures": {"NAO ours": 1.7, "NAO published": 2.13}, "panels": [], "said": {"Panda": "not in here"}}
     claims = EXPERIMENT.claims([trial], Readings(({},)))
     assert [claim.id for claim in claims] == ["Real.1"] and claims[0].verdict == OWN_HOLDS
@@ -42,7 +42,7 @@ def measured():
     return REAL
 
 
-def test_a_changed_table_is_another_fingerprint(measured, tmp_path):
+def test_fingerprint_changes_with_the_files(measured, tmp_path):
     for name in ROBOTS["NAO"].files:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes((measured / name).read_bytes())
@@ -52,7 +52,7 @@ def test_a_changed_table_is_another_fingerprint(measured, tmp_path):
 
 
 @pytest.mark.soak
-def test_the_nao_is_foretold_better_than_by_its_published_calibration(measured, tmp_path):
+def test_nao_prediction_beats_its_published_calibration(measured, tmp_path):
     found = nao(measured, tmp_path)
     assert found["published"] == pytest.approx(2.13, abs=0.01)
     assert found["ours"] < 1.9 < found["published"] < found["ours, process alone"]

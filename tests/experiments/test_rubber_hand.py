@@ -26,7 +26,7 @@ def test_displaced_delays_and_shifts_the_hand_and_recomputes_synchrony():
 
 
 @pytest.mark.soak
-def test_on_a_small_robot_it_drifts_in_time_and_not_when_late(tmp_path):
+def test_rubber_hand_drifts_with_synchronous_touch_only(tmp_path):
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     lab = Lab(tmp_path, (320, 240), 12.0)
     setting = Setting((0.0, 0.15, 0.6), (0.5,), (0.02, 0.3))

@@ -10,7 +10,7 @@ from bodylog.experiments import EXPERIMENTS, reproduce, run
 from bodylog.experiments.records import Experiment
 
 
-def test_the_squared_encoders_hide_the_sign_and_vision_tells_it(small):
+def test_squared_encoders_lose_the_sign_and_vision_restores_it(small):
     _, claims, calls = small
     assert [claim.id for claim in claims] == [f"E2.{k}" for k in range(1, 6)]
     by = {claim.id: claim for claim in claims}
@@ -20,7 +20,7 @@ def test_the_squared_encoders_hide_the_sign_and_vision_tells_it(small):
     assert calls == [("E2 seed 0", 1, 1)]
 
 
-def test_a_second_run_computes_nothing_and_gives_the_same_bytes(small, monkeypatch):
+def test_second_run_computes_nothing_and_keeps_bytes(small, monkeypatch):
     wish, claims, _ = small
     names = ("index.html", "claims.json", "data/E2.csv", "data/figures.csv", "data/outcomes.csv")
     before = [(wish.out / name).read_bytes() for name in names]
@@ -29,7 +29,7 @@ def test_a_second_run_computes_nothing_and_gives_the_same_bytes(small, monkeypat
     assert [(wish.out / name).read_bytes() for name in names] == before
 
 
-def test_an_interrupted_run_goes_on_where_it_was(small, monkeypatch):
+def test_interrupted_run_continues_at_its_place(small, monkeypatch):
     wish, _, _ = small
     made = []
     monkeypatch.setattr(run.Lab, "log", lambda *args, **options: _never())
@@ -72,7 +72,7 @@ def test_another_picture_size_reading_or_setting_is_another_trial(small):
     assert wish.key("Rubber-hand") != other.key("Rubber-hand") and wish.key("E2") == other.key("E2")
 
 
-def test_without_a_reading_all_are_run_and_with_one_that_alone(small):
+def test_reading_option_selects_one_reading_or_all(small):
     wish, _, _ = small
     assert len(wish.readings_of("E2").decide) == 1 and not wish.readings_of("E2").sweep
     every = replace(wish, reading=None)
@@ -86,7 +86,7 @@ def test_kept_trials_hold_no_bare_nan(small):
     json.loads(text, parse_constant=lambda found: pytest.fail(found))
 
 
-def test_an_unknown_experiment_names_those_there_are():
+def test_unknown_experiment_lists_the_known_ones():
     with pytest.raises(
         UsageError, match=r"'E7'.*Data, E1, E2, E3, E4, E5, E6, Rubber-hand, PixelAI, Baselines, Errata, Real"
     ):
@@ -95,7 +95,7 @@ def test_an_unknown_experiment_names_those_there_are():
     assert run.chosen([]) == tuple(name for name in EXPERIMENTS if name != "Real")
 
 
-def test_the_command_takes_a_reading_and_says_what_is_wrong_with_one(tmp_path, capsys, run_cli):
+def test_command_takes_a_reading_and_explains_a_wrong_one(tmp_path, capsys, run_cli):
     assert run_cli("reproduce", "E2", "-o", tmp_path, "--reading", "sigma_n=loud") == 2
     assert "possible: amplitude, noise, learned" in capsys.readouterr().err
     assert run_cli("reproduce", "rubber-hand", "-o", tmp_path, "--asynchrony", "0,fast") == 2

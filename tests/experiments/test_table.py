@@ -8,7 +8,7 @@ from bodylog.experiments.table import TIMED
 ROOT = Path(__file__).parents[2]
 
 
-def test_every_experiment_has_its_file_and_every_file_its_line():
+def test_experiments_table_matches_the_files():
     folder = ROOT / "bodylog" / "experiments"
     files = {path.stem for path in folder.glob("*.py") if "EXPERIMENT = " in path.read_text()}
     listed = {experiment.run.__module__.rpartition(".")[2] for experiment in EXPERIMENTS.values()}
@@ -17,10 +17,10 @@ def test_every_experiment_has_its_file_and_every_file_its_line():
     assert set(TIMED) <= set(EXPERIMENTS)
 
 
-def test_the_paper_has_six_experiments():
+def test_experiments_table_has_six_of_the_paper():
     assert {f"E{i}" for i in range(1, 7)} <= set(EXPERIMENTS)
 
 
-def test_the_page_on_the_paper_names_every_experiment():
+def test_paper_page_names_every_experiment():
     page = (ROOT / "docs" / "paper.md").read_text()
     assert all(name in page for name in EXPERIMENTS)

@@ -48,7 +48,7 @@ def film(tag: int | None = None, arm: bool = True) -> Recording:
     return replace(scenes.recording(scenes.frames(T, pictures)), joints=joints)
 
 
-def test_the_blob_that_moves_with_the_joints_comes_first_and_the_others_are_refused_by_name() -> None:
+def test_survey_ranks_the_arms_blob_first() -> None:
     found = survey(film(), "red")
     first = found.candidates[0]
     assert first is found.arm and first.name == "green" and first.explained > 0.9 and first.seen > 0.95
@@ -58,7 +58,7 @@ def test_the_blob_that_moves_with_the_joints_comes_first_and_the_others_are_refu
     assert len(found.images) == 6 and found.count == len(T)
 
 
-def test_a_tag_that_moves_with_the_joints_comes_before_colours() -> None:
+def test_survey_ranks_the_arms_tag_before_colours() -> None:
     found = survey(film(tag=7), "red")
     assert found.arm is not None and found.arm.source == TagSource(7, "apriltag_36h11")
     assert found.candidates[1].name == "green" and not found.candidates[1].why
@@ -68,7 +68,7 @@ def test_survey_puts_candidates_at_the_given_effector_first() -> None:
     assert survey(film(), "red", effector_uv=(30.0, 210.0)).candidates[0].name == "yellow"
 
 
-def test_no_pictures_is_an_error_that_names_the_log() -> None:
+def test_survey_without_images_is_an_error_naming_the_log() -> None:
     with pytest.raises(LogError, match="no pictures to look for features in; type: bodylog info"):
         survey(scenes.recording(), "red")
 

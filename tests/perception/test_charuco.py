@@ -56,7 +56,7 @@ def test_corners_of_either_pattern_are_as_exact_as_stated(legacy: bool) -> None:
     assert true < 0.06 and 0.6 < reported / true < 1.6
 
 
-def test_a_moving_board_is_followed_and_hidden_corners_are_not_made_up() -> None:
+def test_charuco_follows_a_moving_board_without_hidden_corners() -> None:
     wall, rng = tag_scenes.wall(np.random.default_rng(1), 480, 360).astype(float), np.random.default_rng(2)
     board = cv2.aruco.CharucoBoard((6, 5), 0.07, 0.04, tag_scenes.dictionary("4X4_1000"))
     sheet = np.pad(board.generateImage((336, 280)), 28, constant_values=255)
@@ -77,7 +77,7 @@ def test_a_moving_board_is_followed_and_hidden_corners_are_not_made_up() -> None
     assert found.reasons.tolist() == ["", "", "", "", "", "", "undecodable picture"]
 
 
-def test_a_board_of_another_shape_is_named() -> None:
+def test_charuco_names_a_board_of_another_shape() -> None:
     image, _ = tag_scenes.board_scene(np.random.default_rng(0), (6, 5), 36.0, Look())
     values, found = _values(CharucoSource("5x6", 0.07, 0.04, "4x4_1000", legacy=False), [image])
     assert not np.isfinite(values).any() and 'type: charuco = "6x5"' in found.findings[0].text
@@ -85,7 +85,7 @@ def test_a_board_of_another_shape_is_named() -> None:
     assert not np.isfinite(empty).any() and nothing.findings == () and nothing.names == ("board.0",)
 
 
-def test_of_real_images_every_corner_is_found_that_opencv_finds() -> None:
+def test_charuco_finds_every_corner_opencv_finds() -> None:
     if not PANDA.is_dir():
         pytest.skip("the real Panda's images (../shared/real/panda) are not at hand")
     source = CharucoSource("10x14", 0.07, 0.04, "4x4_1000")

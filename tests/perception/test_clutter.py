@@ -47,7 +47,7 @@ def _film(seed: int, count: int = 200, delay: float = 0.0) -> tuple[Recording, A
 
 
 @pytest.mark.parametrize(("seed", "delay"), [(0, 0.0), (1, 0.1), pytest.param(2, -0.1, marks=pytest.mark.soak)])
-def test_the_ball_that_moves_as_the_joints_do_is_taken_and_no_other(seed: int, delay: float) -> None:
+def test_observe_follows_only_the_ball_of_the_arm(seed: int, delay: float) -> None:
     film, uv, clear = _film(seed, delay=delay)
     track = observe(film, Settings()).effector
     assert track is not None
@@ -56,13 +56,13 @@ def test_the_ball_that_moves_as_the_joints_do_is_taken_and_no_other(seed: int, d
     assert np.nanmedian(off) < 0.3 and np.nanmax(off) < 4.0
 
 
-def test_without_joints_the_largest_is_taken_as_ever() -> None:
+def test_observe_without_joints_follows_the_largest() -> None:
     film, uv, _ = _film(0)
     track = observe(replace(film, joints=None), Settings()).effector
     assert track is not None and np.nanmedian(np.hypot(*(track.values - uv).T)) > 20
 
 
-def test_a_film_of_one_thing_is_seen_to_the_same_bytes_with_joints_and_without() -> None:
+def test_single_blob_track_does_not_depend_on_joints() -> None:
     film, uv, _ = _film(0, 60)
     rng = np.random.default_rng(0)
     wall = scenes.wall(rng)
@@ -74,7 +74,7 @@ def test_a_film_of_one_thing_is_seen_to_the_same_bytes_with_joints_and_without()
     assert one[0]["effector"].values.tobytes() == other[0]["effector"].values.tobytes()
 
 
-def test_the_joints_explain_the_ball_and_no_foreign_thing() -> None:
+def test_joints_explain_only_the_ball() -> None:
     film, uv, _ = _film(3)
     t = np.arange(200) / 10.0
     q = joint_motion.angles(film.joints, t)
@@ -87,7 +87,7 @@ def test_the_joints_explain_the_ball_and_no_foreign_thing() -> None:
 
 
 @pytest.mark.parametrize("side", [(14.0, 6.0), (-12.0, 9.0)])
-def test_an_outline_half_of_which_touches_its_like_says_where_the_ball_is(side: tuple[float, float]) -> None:
+def test_outline_fits_a_ball_touching_its_own_colour(side: tuple[float, float]) -> None:
     rng = np.random.default_rng(0)
     wall = scenes.wall(rng)
     discs = [Disc(150.0 + side[0], 110.0 + side[1], 10.0), Disc(150.3, 110.6, 10.0, shade=0.5)]
@@ -98,7 +98,7 @@ def test_an_outline_half_of_which_touches_its_like_says_where_the_ball_is(side: 
 
 
 @pytest.mark.parametrize("name", [pytest.param("ball_explore", marks=pytest.mark.soak), "ball_offset"])
-def test_a_ball_among_clutter_of_its_colour_is_found_in_a_furnished_scene(worlds: Path, name: str) -> None:
+def test_ball_is_found_among_clutter_of_its_colour(worlds: Path, name: str) -> None:
     settings = replace(Settings(), topics=Topics(joints="/arm/joint_states"))
     track = observe(recording.read(worlds / name, settings), settings).effector
     with np.load(worlds / f"{name}.truth.npz") as truth:

@@ -48,7 +48,7 @@ def _errors(track: Series, truth: Array) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_every_centre_is_found_to_a_tenth_of_a_pixel(seed: int) -> None:
+def test_colour_track_is_exact_to_a_tenth_pixel(seed: int) -> None:
     track, health = _track([[Disc(u, v, 5.5)] for u, v in PATH], seed)
     errors = _errors(track, PATH)
     assert health.used == len(T)
@@ -89,7 +89,7 @@ def test_stated_deviation_is_the_true_one_over_many_places_a_target_stands_still
     assert 0.7 < np.sqrt(np.mean(stated) / np.mean(true)) < 1.3
 
 
-def test_a_picture_without_any_noise_is_as_exact() -> None:
+def test_colour_track_is_exact_without_noise() -> None:
     rng = np.random.default_rng(0)
     wall = scenes.wall(rng, 96, 96, contrast=0.0)
     for u, v in 48.0 + rng.uniform(-4.0, 4.0, (20, 2)):
@@ -99,7 +99,7 @@ def test_a_picture_without_any_noise_is_as_exact() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_at_half_scale_the_track_is_less_exact_and_says_so(seed: int) -> None:
+def test_colour_track_at_half_scale_has_larger_deviations(seed: int) -> None:
     wide = 2 * PATH
     pictures = scenes.frames(T, _film([[Disc(u, v, 12.0)] for u, v in wide], seed, 640, 480))
     exact, fast = (colour_tracker.track(pictures, {"it": "green"}, fast=fast)[0]["it"] for fast in (False, True))
@@ -134,7 +134,7 @@ def test_hidden_is_nothing_and_counted() -> None:
 
 
 @pytest.mark.parametrize(("radius", "whole", "cut"), [(5.5, 6.5, 4.0), (10.0, 11.0, 7.5)])
-def test_at_the_border_is_nothing(radius: float, whole: float, cut: float) -> None:
+def test_colour_track_rejects_blobs_at_the_border(radius: float, whole: float, cut: float) -> None:
     u = np.linspace(40.0, -8.0, 40)
     track, health = _track([[Disc(x, 120.0, radius)] for x in u], 0)
     assert np.isfinite(track.values[u > whole, 0]).all()
@@ -154,7 +154,7 @@ def test_partly_hidden_is_nothing_or_says_how_far_it_is_off(seed: int) -> None:
     assert (_errors(track, PATH)[seen] < 0.7).all()
 
 
-def test_a_smaller_twin_is_left_alone_even_while_the_target_is_hidden() -> None:
+def test_colour_track_ignores_a_smaller_twin() -> None:
     twin = Disc(60.0, 60.0, 4.0)
     discs = [[twin] if 20 <= i < 35 else [twin, Disc(u, v, 8.0)] for i, (u, v) in enumerate(PATH)]
     track, health = _track(discs, 0)
@@ -163,14 +163,14 @@ def test_a_smaller_twin_is_left_alone_even_while_the_target_is_hidden() -> None:
     assert _errors(track, PATH)[np.isfinite(track.values[:, 0])].max() < 0.7
 
 
-def test_an_equal_twin_that_stands_still_is_left_alone() -> None:
+def test_colour_track_ignores_an_equal_still_twin() -> None:
     twin = Disc(30.0, 30.0, 6.0)
     track, health = _track([[twin, Disc(u, v, 6.0)] for u, v in PATH], 0)
     assert health.used == len(T)
     assert _errors(track, PATH).max() < 0.7
 
 
-def test_two_equal_candidates_that_both_move_are_nothing() -> None:
+def test_colour_track_rejects_two_equal_moving_candidates() -> None:
     other = np.column_stack([320.0 - PATH[:, 0], 240.0 - PATH[:, 1]])
     keep = np.hypot(*(other - PATH).T) > 30
     discs = [[Disc(u, v, 6.0), Disc(x, y, 6.0)] for (u, v), (x, y) in zip(PATH[keep], other[keep], strict=True)]
@@ -180,14 +180,14 @@ def test_two_equal_candidates_that_both_move_are_nothing() -> None:
     assert np.isnan(track.values).all()
 
 
-def test_a_fast_target_is_followed_from_picture_to_picture() -> None:
+def test_colour_track_follows_a_fast_target() -> None:
     rng = np.random.default_rng(0)
     places = rng.uniform([30, 30], [290, 210], (30, 2))
     _, health = _track([[Disc(u, v, 6.0)] for u, v in places], 0)
     assert health.used == 30
 
 
-def test_every_named_shape_becomes_a_track() -> None:
+def test_observe_gives_a_track_per_named_feature() -> None:
     discs = [[Disc(u, v, 6.0), Disc(30.0, 30.0, 7.0, scenes.YELLOW)] for u, v in PATH[:10]]
     settings = Settings(colours=Colours(markers={"elbow": "yellow"}))
     features = observe(scenes.recording(scenes.frames(T[:10], _film(discs, 0))), settings)
@@ -196,7 +196,7 @@ def test_every_named_shape_becomes_a_track() -> None:
     assert features.hand is not None and np.isnan(features.hand.values).all()
 
 
-def test_a_colour_never_seen_is_named_with_what_was_seen_instead() -> None:
+def test_unseen_colour_is_named_with_the_colours_seen() -> None:
     pictures = scenes.frames(T[:5], _film([[Disc(100.0, 100.0, 15.0, scenes.YELLOW)]] * 5, 0))
     _, _, findings = colour_tracker.track(pictures, {"effector": "green"})
     (finding,) = findings
@@ -206,7 +206,7 @@ def test_a_colour_never_seen_is_named_with_what_was_seen_instead() -> None:
 
 
 @pytest.mark.parametrize("other", ["yellow", {"low": (20, 90, 50), "high": (36, 255, 255)}])
-def test_a_colour_another_feature_uses_is_never_proposed(other: Colour) -> None:
+def test_colour_of_another_feature_is_never_proposed(other: Colour) -> None:
     pictures = scenes.frames(T[:5], _film([[Disc(100.0, 100.0, 15.0, scenes.YELLOW)]] * 5, 0))
     _, _, findings = colour_tracker.track(pictures, {"effector": other, "hand": "red"})
     (finding,) = findings
@@ -222,7 +222,7 @@ def test_observe_reports_a_missing_camera_and_missing_images() -> None:
     assert empty.effector is not None and empty.effector.values.shape == (0, 2)
 
 
-def test_a_picture_that_cannot_be_decoded_is_a_gap_and_a_loss() -> None:
+def test_undecodable_image_is_a_gap_and_a_loss() -> None:
     def broken(_: int) -> Array:
         raise FormatError("log.mcap: /camera: picture 3: not a JPEG")
 
@@ -265,7 +265,7 @@ def test_same_pictures_same_bytes() -> None:
     assert first.std is not None and second.std is not None and first.std.tobytes() == second.std.tobytes()
 
 
-def test_an_unknown_colour_names_the_known_ones() -> None:
+def test_unknown_colour_lists_the_known_ones() -> None:
     with pytest.raises(ConfigError, match=r"colours\.effector: found 'gren'; possible: red, .*type: effector = .green"):
         colour_tracker.track(lambda: iter(()), {"effector": "gren"})
 
@@ -291,7 +291,7 @@ def test_arm_logs_are_tracked_as_truth_has_it(log: str) -> None:
             assert np.median(errors) <= 0.15 and np.quantile(errors, 0.99) <= 0.7
 
 
-def test_what_else_stands_in_the_surround_does_not_pull_the_centre() -> None:
+def test_measured_centre_ignores_bright_surroundings() -> None:
     rng = np.random.default_rng(0)
     errors = []
     for u, v in PATH:
@@ -316,7 +316,7 @@ def test_stated_deviation_holds_on_logs_of_a_moving_arm_and_hand() -> None:
         assert 0.7 < ratio < 1.3
 
 
-def test_the_yellow_disc_is_tracked_in_every_real_picture() -> None:
+def test_yellow_disc_is_tracked_in_every_real_image() -> None:
     from bodylog.recording.recording import read
 
     path = SHARED / "gagalo123__mcap-explorer" / "examples" / "demo.mcap"

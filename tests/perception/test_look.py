@@ -35,7 +35,7 @@ def _film(count: int, seed: int) -> list[Frame]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_same_bytes_however_many_threads_look(seed: int) -> None:
+def test_look_does_not_depend_on_thread_count(seed: int) -> None:
     film = _film(75, seed)
     alone, *others = (look(iter(film), threads) for threads in (1, 2, 2, 3))
     assert np.isfinite(alone.blobs[:, 0, 0, 0]).all()
@@ -62,7 +62,7 @@ def test_frame_searcher_raises_errors_and_ends_all_threads(threads: int) -> None
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_thread_that_fails_keeps_the_others_from_going_on(threads: int) -> None:
+def test_look_stops_all_threads_after_a_failure(threads: int) -> None:
     film = _film(40, 0)
     asked = []
 

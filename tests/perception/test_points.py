@@ -51,7 +51,7 @@ def _frames(images: list[Array]) -> Callable[[], Iterator[Frame]]:
 
 
 @pytest.mark.parametrize("noise", [1.0, 5.0])
-def test_a_point_is_followed_without_drift_and_as_exactly_as_stated(noise: float) -> None:
+def test_point_is_followed_with_its_stated_precision(noise: float) -> None:
     apart, stated = [], []
     for seed in range(3):
         images, places = _film(seed, 26, Look(noise=noise))
@@ -68,7 +68,7 @@ def test_a_point_is_followed_without_drift_and_as_exactly_as_stated(noise: float
     assert np.sqrt(np.mean(late**2)) < 0.15
 
 
-def test_a_hidden_point_is_counted_and_found_again() -> None:
+def test_hidden_point_is_counted_and_found_again() -> None:
     images, places = _film(2, 24, Look(), range(10, 16))
     frames = [*_frames(images)()]
     frames[20] = Frame(2.0, 20, _broken)
@@ -91,6 +91,6 @@ def _broken(scale: int) -> Array:
         ((160.0, 120.0), 0.0, "too plain to follow; take a corner"),
     ],
 )
-def test_a_point_that_cannot_be_followed_is_refused(point, at, message) -> None:
+def test_tracked_refuses_a_point_it_cannot_follow(point, at, message) -> None:
     with pytest.raises(EvidenceError, match=message):
         points.tracked(_frames([np.full((240, 320), 90, np.uint8)] * 2), {"tip": PointSource(point, at)})

@@ -10,7 +10,7 @@ from bodylog.sources import NAMED_COLOURS
 
 
 @pytest.mark.parametrize(("name", "hue"), [("red", 0), ("red", 176), ("green", 60), ("yellow", 28), ("blue", 115)])
-def test_a_name_finds_its_hue_and_not_the_opposite_one(name: str, hue: int) -> None:
+def test_colour_name_matches_only_its_own_hue(name: str, hue: int) -> None:
     hsv = np.array([[[hue, 200, 200], [(hue + 90) % 180, 200, 200], [hue, 20, 200], [hue, 200, 10]]], dtype=np.uint8)
     assert hsv_ranges.mask(hsv, hsv_ranges.resolve(name, "effector")).tolist() == [[255, 0, 0, 0]]
 
@@ -21,7 +21,7 @@ def test_low_hue_above_high_hue_wraps_round() -> None:
     assert np.flatnonzero(hsv_ranges.mask(hsv, wrapped)).tolist() == [*range(11), *range(170, 180)]
 
 
-def test_every_name_a_setting_may_use_has_a_range_and_its_own_name() -> None:
+def test_colour_names_have_a_range_and_round_trip() -> None:
     assert hsv_ranges.covered(hsv_ranges.between((90, 0, 0), (89, 255, 255))) == set(NAMED_COLOURS)
     for name in NAMED_COLOURS:
         ((low, high), *_) = hsv_ranges.resolve(name, "effector").parts

@@ -138,7 +138,7 @@ def test_touches_and_delays_of_a_short_log_are_as_simulated(tmp_path: Path) -> N
     _judge_events(tmp_path, ("touch", "synchronous"), [0], 9.0)
 
 
-def test_a_marker_on_the_arm_is_a_track_beside_the_effector(tmp_path: Path) -> None:
+def test_marker_on_the_arm_has_its_own_track(tmp_path: Path) -> None:
     tracks = {"effector": _Found(), "marker": _Found()}
     for seed in range(3):
         features, start_ns, truth = _log(tmp_path, "babble", seed, duration=4.0, size=(320, 240), marker=True)
@@ -150,7 +150,7 @@ def test_a_marker_on_the_arm_is_a_track_beside_the_effector(tmp_path: Path) -> N
         _judge(found, moves=True)
 
 
-def test_a_hand_next_to_a_small_effector_is_as_exact_though_jpeg_mixes_their_colours(tmp_path: Path) -> None:
+def test_hand_beside_a_small_effector_is_tracked_exactly(tmp_path: Path) -> None:
     hand = _Found()
     for seed in range(3):
         features, start_ns, truth = _log(tmp_path, "touch", seed, duration=8.0, size=(160, 120))

@@ -30,7 +30,7 @@ def _series(values: Array) -> Series:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_every_touch_is_found_none_invented_and_dated(seed: int) -> None:
+def test_touches_match_the_drawn_touches_and_onsets(seed: int) -> None:
     values = _rest(seed)
     given = [(1.003, 1.8, 10), (3.0, 3.318, 60), (3.05, 3.4, 90), (6.0, 8.007, 115)]
     for onset, offset, cell in given:
@@ -46,7 +46,7 @@ def test_every_touch_is_found_none_invented_and_dated(seed: int) -> None:
     assert health.used == len(T) and not findings
 
 
-def test_a_reading_that_wavers_above_release_is_one_touch() -> None:
+def test_touches_join_readings_above_the_release_level() -> None:
     values = _rest(0)
     values[200:300, 50] = np.where(np.arange(100) % 10 < 5, 0.9, 0.65)
     touches, _, _ = detection.touches(_series(values), Skin())
@@ -55,14 +55,14 @@ def test_a_reading_that_wavers_above_release_is_one_touch() -> None:
     assert more is not None and len(more) == 1, "pauses below 50 ms do not part a touch"
 
 
-def test_a_spike_shorter_than_shortest_is_noise() -> None:
+def test_touches_ignore_spikes_below_the_shortest() -> None:
     values = _rest(0)
     values[200, 50] = 0.95
     touches, _, _ = detection.touches(_series(values), Skin(shortest=0.03))
     assert touches == ()
 
 
-def test_a_stroke_across_cells_is_one_touch_of_all_of_them() -> None:
+def test_touches_join_a_stroke_across_cells() -> None:
     values = _rest(0)
     for step in range(8):
         values[200 + 10 * step : 215 + 10 * step, 40 + step] = 0.9
@@ -119,6 +119,6 @@ def test_readings_that_are_not_numbers_are_untouched_and_counted() -> None:
     assert "1.0% of the readings are not numbers" in findings[0].text
 
 
-def test_no_reading_at_all() -> None:
+def test_touches_report_a_skin_without_readings() -> None:
     touches, health, findings = detection.touches(_series(np.zeros((0, CELLS))), Skin())
     assert touches is None and health.seen == 0 and "no readings" in findings[0].text

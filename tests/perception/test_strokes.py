@@ -52,7 +52,7 @@ def test_frames_lost_here_and_there_cost_no_stroke(seed: int) -> None:
         assert stroke.start == pytest.approx(start, abs=0.05) and stroke.end == pytest.approx(end, abs=0.05)
 
 
-def test_a_hand_that_passes_evenly_rests_or_is_absent_strokes_nothing() -> None:
+def test_strokes_ignore_steady_resting_and_absent_hands() -> None:
     t = np.arange(0, 5, 0.05)
     source = (t * 1e9).astype(np.int64)
     noise = np.random.default_rng(0).normal(0.0, 0.1, (len(t), 2))

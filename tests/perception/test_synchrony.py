@@ -37,14 +37,14 @@ def test_jitter_of_a_tenth_counts_as_synchronous_and_of_a_second_does_not(seed: 
         assert low < np.mean([pair.weight for pair in found]) <= high
 
 
-def test_one_frame_late_weighs_most_and_six_tenths_nothing() -> None:
+def test_match_weight_falls_with_delay() -> None:
     touches = _touches(0)
     for delay, low, high in [(0.0, 1.0, 1.0), (1 / 15, 0.8, 0.9), (0.6, 0.0, 0.1), (-0.6, 0.0, 0.1)]:
         found, _ = match_touches(touches, _strokes(touches, [delay] * len(touches)))
         assert all(low - 1e-9 <= pair.weight <= high + 1e-9 for pair in found)
 
 
-def test_what_has_no_partner_is_alone_and_pairs_keep_their_order() -> None:
+def test_match_keeps_order_and_unpaired_touches() -> None:
     touches = _touches(1, 6)
     strokes = _strokes(touches, [0.05] * 6)
     del strokes[2]
@@ -54,7 +54,7 @@ def test_what_has_no_partner_is_alone_and_pairs_keep_their_order() -> None:
     assert match_touches([], strokes)[0] == () and match_touches(touches, [])[0][0].stroke is None
 
 
-def test_a_constant_latency_is_taken_off_only_when_asked() -> None:
+def test_match_corrects_a_constant_latency_only_if_configured() -> None:
     touches = _touches(2)
     late = _strokes(touches, [0.6] * len(touches))
     kept, reported = match_touches(touches, late)
@@ -73,7 +73,7 @@ def test_unsteady_delays_are_no_clock_offset() -> None:
     assert reported[0].severity == "warning" and "none subtracted" in reported[0].text
 
 
-def test_an_offset_that_is_no_number_is_refused() -> None:
+def test_match_refuses_an_invalid_offset() -> None:
     with pytest.raises(ConfigError, match=r"synchrony\.clock_offset: found 'soon'; possible: auto, or seconds"):
         match_touches([], [], clock_offset="soon")
 

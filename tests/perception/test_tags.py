@@ -35,7 +35,7 @@ def test_tags_of_every_dictionary_are_read_with_their_corners_in_order(dictionar
 
 
 @pytest.mark.parametrize("name", ["apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11", "mip_36h12"])
-def test_as_many_wrong_bits_are_allowed_whatever_opencv_says_can_be_corrected(name: str) -> None:
+def test_codes_limit_corrected_bits_by_their_distance(name: str) -> None:
     patterns, side = codes(name).patterns, codes(name).side
     one, all_ = patterns[0, 0], patterns.reshape(-1, side * side)
     least = np.sort((all_ != one).sum(axis=1))[1]  # the first is the pattern itself
@@ -70,7 +70,7 @@ def _film(count: int, look: Look, size: tuple[int, int] = (320, 240)) -> tuple[l
     return images, np.array(places)
 
 
-def test_a_tag_is_followed_and_a_frame_without_it_or_undecodable_is_counted() -> None:
+def test_tag_is_followed_and_missing_frames_are_counted() -> None:
     images, places = _film(20, PLAIN)
     wall = tag_scenes.wall(np.random.default_rng(5), 320, 240).astype(float)
     empty = tag_scenes.take(wall, PLAIN, np.random.default_rng(1))
@@ -90,7 +90,7 @@ def test_a_tag_is_followed_and_a_frame_without_it_or_undecodable_is_counted() ->
     assert health["rim.3"].used == 18 and health["wrist"].largest_gap_s == pytest.approx(0.3)
 
 
-def test_a_blurred_tag_that_opencv_misses_is_followed() -> None:
+def test_blurred_tag_is_followed_where_opencv_misses_it() -> None:
     images, places = _film(12, PLAIN)
     detector = cv2.aruco.ArucoDetector(tag_scenes.dictionary(APRIL), cv2.aruco.DetectorParameters())
     tracker = TagTracker({"it": TagSource(7)})
@@ -104,7 +104,7 @@ def test_a_blurred_tag_that_opencv_misses_is_followed() -> None:
     assert np.abs(values[:, :2] - places).max() < 0.5
 
 
-def test_what_is_no_tag_is_not_taken_and_unknown_tags_are_named() -> None:
+def test_unknown_tags_are_named_without_false_detections() -> None:
     rng = np.random.default_rng(3)
     walls = [tag_scenes.take(tag_scenes.wall(rng, 640, 480).astype(float), PLAIN, rng) for _ in range(4)]
     assert unknown.present([cv2.cvtColor(wall, cv2.COLOR_GRAY2BGR) for wall in walls]) == []
@@ -125,7 +125,7 @@ def test_images_too_small_for_a_tag_show_none(shape: tuple[int, int]) -> None:
     assert np.isnan(tracker.tracked().values).all()
 
 
-def test_the_same_bytes_however_many_threads_decode() -> None:
+def test_tag_search_does_not_depend_on_thread_count() -> None:
     images, _ = _film(41, PLAIN, (160, 120))
 
     def looked(threads: int) -> bytes:

@@ -62,7 +62,7 @@ def _behind(corners: Array) -> Array:
     return np.asarray(points[1] - points[0])
 
 
-def test_the_tag_is_found_where_it_is_seen_and_as_exactly_as_stated(world) -> None:
+def test_tag_is_found_with_its_stated_precision(world) -> None:
     values, found = world.values, np.isfinite(world.values[:, 0, 0])
     assert found[world.seen].mean() > 0.95 and not found[~world.seen].any()
     apart = values[found, 0, :2] - world.uv[found]
@@ -82,6 +82,6 @@ def test_following_searches_few_images_and_misses_nothing_that_opencv_finds(worl
             assert np.hypot(*(world.values[k, 0, :2] - centres(corners[0].astype(float))[0])) < 2.0
 
 
-def test_the_tag_is_named_where_nobody_says_which_there_is(world) -> None:
+def test_tag_is_named_without_a_configuration(world) -> None:
     (found,) = unknown.present([cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in world.images[::40]])
     assert found.source == TagSource(7) and found.seen >= 5

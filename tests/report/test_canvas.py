@@ -7,13 +7,13 @@ from bodylog.report.figures.canvas import figure, label
 
 
 @pytest.mark.parametrize("name", ["f.pdf", "f", "f.jpeg"])
-def test_an_unknown_suffix_names_the_known_and_writes_nothing(tmp_path, name):
+def test_unknown_suffix_lists_the_known_and_writes_nothing(tmp_path, name):
     with pytest.raises(UsageError, match=r"f\.png or .*f\.svg"), figure(tmp_path / name, 2, 2):
         pytest.fail("drawn all the same")
     assert not list(tmp_path.iterdir())
 
 
-def test_without_matplotlib_the_error_says_what_to_type(tmp_path, monkeypatch):
+def test_missing_matplotlib_gives_the_command_to_type(tmp_path, monkeypatch):
     real = builtins.__import__
 
     def refuse(name, *rest):
@@ -26,14 +26,14 @@ def test_without_matplotlib_the_error_says_what_to_type(tmp_path, monkeypatch):
         pytest.fail("drawn all the same")
 
 
-def test_a_failed_drawing_leaves_the_old_figure_alone(tmp_path):
+def test_failed_drawing_keeps_the_old_figure(tmp_path):
     (tmp_path / "f.svg").write_text("old")
     with pytest.raises(ZeroDivisionError), figure(tmp_path / "f.svg", 2, 2):
         raise ZeroDivisionError
     assert (tmp_path / "f.svg").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
 
 
-def test_the_users_matplotlib_settings_are_neither_used_nor_changed(tmp_path):
+def test_canvas_neither_uses_nor_changes_user_settings(tmp_path):
     import matplotlib
 
     def draw(name):

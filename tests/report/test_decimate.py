@@ -18,7 +18,7 @@ def test_thinning_keeps_the_extremes_the_ends_and_the_order(n, points, seed):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_one_missing_value_in_a_million_stays_a_gap(seed):
+def test_thin_keeps_one_gap_in_a_million(seed):
     values = np.random.default_rng(seed).normal(size=1_000_000)
     hole = 123_456 + 99_999 * seed
     values[hole] = np.nan
@@ -26,12 +26,12 @@ def test_one_missing_value_in_a_million_stays_a_gap(seed):
     assert t[np.isnan(kept)].tolist() == [hole]
 
 
-def test_a_series_that_is_all_gap_stays_a_gap():
+def test_thin_keeps_a_series_without_values():
     assert np.isnan(thin(np.arange(1e4), np.full(10_000, np.nan), 300)[1]).all()
 
 
 @given(st.integers(1, 4000), st.integers(1, 500), st.integers(0, 2**32 - 1))
-def test_an_envelope_is_never_narrower_than_the_band(n, points, seed):
+def test_envelope_is_never_narrower_than_the_band(n, points, seed):
     rng = np.random.default_rng(seed)
     low = rng.normal(size=n)
     high = low + rng.gamma(1.0, size=n)

@@ -30,7 +30,7 @@ def test_same_log_same_bytes(tmp_path, suffix):
     assert first.stat().st_size > 20_000
 
 
-def test_the_whole_log_has_joints_pixels_skin_events_and_trajectories(tmp_path):
+def test_recording_figure_shows_every_kind_of_signal(tmp_path):
     recording_figure(recording(), features(), tmp_path / "f.svg")
     reported = words(tmp_path / "f.svg")
     assert {"joints, rad", "pixels", "skin cell", "felt", "seen", "u, pixels", "0.93", "time, s"} <= set(reported)
@@ -45,7 +45,7 @@ def test_the_whole_log_has_joints_pixels_skin_events_and_trajectories(tmp_path):
         ({}, {"tracks": {}, "strokes": (), "synchrony": (), "touches": None}, 3, {"pixels", "u, pixels", "felt"}),
     ],
 )
-def test_what_is_absent_is_left_out(tmp_path, log, seen, count, absent):
+def test_recording_figure_omits_absent_signals(tmp_path, log, seen, count, absent):
     recording_figure(replace(recording(), **log), features(**seen), tmp_path / "f.svg")
     assert axes_of(tmp_path / "f.svg") == count  # the colour bar of the skin is one
     assert not absent & set(words(tmp_path / "f.svg"))
@@ -57,12 +57,12 @@ def test_touches_and_strokes_are_drawn_also_where_none_goes_with_another(tmp_pat
     assert {"felt", "seen"} <= set(words(tmp_path / "f.svg"))
 
 
-def test_a_recording_without_features_shows_its_signals(tmp_path):
+def test_recording_figure_without_features_shows_signals(tmp_path):
     recording_figure(recording(), UNSEEN, tmp_path / "f.svg")
     assert axes_of(tmp_path / "f.svg") == 3
 
 
-def test_an_empty_recording_is_refused_by_name(tmp_path):
+def test_empty_recording_is_refused_by_name(tmp_path):
     with pytest.raises(LogError, match="no joints"):
         recording_figure(replace(recording(), joints=None, skin=None), UNSEEN, tmp_path / "f.svg")
 
@@ -83,7 +83,7 @@ def test_cells_that_read_anything_are_drawn(tmp_path, value):
     recording_figure(replace(recording(), skin=replace(skin, values=values)), UNSEEN, tmp_path / "f.png")
 
 
-def test_a_track_never_seen_is_left_out(tmp_path):
+def test_recording_figure_omits_a_track_without_sightings(tmp_path):
     found = features()
     hand = replace(found.tracks["hand"], values=np.full_like(found.tracks["hand"].values, np.nan))
     recording_figure(recording(), replace(found, tracks={**found.tracks, "hand": hand}), tmp_path / "f.svg")
@@ -110,7 +110,7 @@ def test_body_surfaces_run_over_the_two_joints_that_moved_most(tmp_path):
     assert "shoulder_pan_joint, rad" not in words(tmp_path / "c.svg")
 
 
-def test_a_body_without_samples_or_with_one_joint(tmp_path):
+def test_body_figure_needs_two_joints_but_no_samples(tmp_path):
     body_figure(body(senses={"touch": Blind()}), tmp_path / "b.png")
     assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ModelError, match="1 joint"):
@@ -119,7 +119,7 @@ def test_a_body_without_samples_or_with_one_joint(tmp_path):
         body_figure(body(senses={}), tmp_path / "d.png")
 
 
-def test_an_estimate_shows_belief_truth_encoder_faults_errors_and_free_energy(tmp_path):
+def test_estimate_figure_shows_belief_truth_faults_and_errors(tmp_path):
     log = recording()
     estimate_figure(estimate(), log.truth, log.joints, tmp_path / "e.svg")
     reported = set(words(tmp_path / "e.svg"))
@@ -128,13 +128,13 @@ def test_an_estimate_shows_belief_truth_encoder_faults_errors_and_free_energy(tm
     assert axes_of(tmp_path / "e.svg") == 3 + 3 + 2 + 1
 
 
-def test_an_estimate_without_truth_has_no_deviation(tmp_path):
+def test_estimate_figure_without_truth_has_no_deviation(tmp_path):
     estimate_figure(estimate(), None, None, tmp_path / "e.svg")
     assert not {"truth", "encoder", "off truth, mrad"} & set(words(tmp_path / "e.svg"))
     assert axes_of(tmp_path / "e.svg") == 6
 
 
-def test_a_long_log_stays_a_small_figure(tmp_path):
+def test_long_log_gives_a_small_figure(tmp_path):
     log = recording(duration=2000.0)
     recording_figure(log, features(duration=2000.0), tmp_path / "f.svg")
     estimate_figure(estimate(duration=2000.0), log.truth, log.joints, tmp_path / "e.svg")

@@ -81,7 +81,7 @@ def test_same_input_same_bytes(tmp_path):
     assert len(first) > 100_000
 
 
-def test_the_page_shows_everything(tmp_path):
+def test_page_shows_every_part(tmp_path):
     drawn = pictures(recording(), features(), estimate(), 6)
     page = report(tmp_path / "r.html", pictures=drawn, provenance={"sha256": "ab"})
     assert titles(page) == [
@@ -116,14 +116,14 @@ def test_scores_in_parts_are_one_row_per_part(tmp_path):
     assert "<tr><td>wrist</td><td>–</td><td>2</td></tr>" in page
 
 
-def test_a_track_never_seen_is_left_out(tmp_path):
+def test_page_omits_a_track_without_sightings(tmp_path):
     found = features()
     hand = replace(found.tracks["hand"], values=np.full_like(found.tracks["hand"].values, np.nan))
     page = report(tmp_path / "r.html", features=replace(found, tracks={**found.tracks, "hand": hand}))
     assert "effector u, px" in titles(page) and "hand u, px" not in titles(page)
 
 
-def test_the_numbers_arrive(tmp_path):
+def test_page_keeps_the_estimates_numbers(tmp_path):
     belief = estimate()
     data = plotted(report(tmp_path / "r.html"))
     t, y = numbers(data["panels"][0]["traces"][2], data["span"])
@@ -135,7 +135,7 @@ def test_the_numbers_arrive(tmp_path):
     assert np.allclose((high - numbers(band, data["span"])[1]) / 4, np.sqrt(belief.cov[:, 0, 0]), atol=1e-6)
 
 
-def test_the_predicted_track_has_its_band_where_it_says_how_sure_it_is(tmp_path):
+def test_predicted_track_has_a_band_with_its_variance(tmp_path):
     belief = estimate()
     expected = belief.predicted["effector"]
     blunt = replace(belief, predicted={"effector": replace(expected, std=None)})
@@ -148,14 +148,14 @@ def test_the_predicted_track_has_its_band_where_it_says_how_sure_it_is(tmp_path)
         assert np.allclose(low, expected.values[:, 1] - width, atol=1e-4)
 
 
-def test_a_gap_in_a_track_stays_a_gap(tmp_path):
+def test_page_keeps_gaps_in_tracks(tmp_path):
     data = plotted(report(tmp_path / "r.html"))
     seen = next(panel for panel in data["panels"] if panel["title"] == "hand u, px")["traces"][0]
     t, y = numbers(seen, data["span"])
     assert (np.isnan(y) == ((t > 6) & (t < 8 - 1e-6))).all()
 
 
-def test_what_is_absent_is_left_out(tmp_path):
+def test_page_omits_absent_parts(tmp_path):
     bare = replace(recording(), truth=None, skin=None, health={}, findings=(), roles={})
     page = report(tmp_path / "r.html", recording=bare, features=UNSEEN, scores=())
     assert titles(page)[:3] == [f"{name}, rad" for name in bare.joints.names]
@@ -164,7 +164,7 @@ def test_what_is_absent_is_left_out(tmp_path):
         assert absent not in page
 
 
-def test_a_page_with_nothing_to_plot_has_no_script(tmp_path):
+def test_page_without_plots_has_no_script(tmp_path):
     bare, nothing = replace(recording(), truth=None, skin=None, joints=None), np.full((1000, 3), np.nan)
     found = estimate(errors={}, free_energy=nothing[:, 0], cov=nothing[:, :, None] * nothing[:, None])
     found = replace(found, joints=replace(found.joints, values=nothing))
@@ -172,7 +172,7 @@ def test_a_page_with_nothing_to_plot_has_no_script(tmp_path):
     assert "<script" not in page and "<canvas" not in page and "Health of the log" in page
 
 
-def test_the_page_needs_no_network(tmp_path):
+def test_page_needs_no_network(tmp_path):
     page = report(tmp_path / "r.html", pictures=pictures(recording(), features(), estimate()))
     assert not re.search(r"(https?:)?//[a-z]", re.sub(r'base64,[^"]*|"[A-Za-z0-9+/=]{40,}"', "", page))
     loading = [(tag, at) for tag, at in Elements(page).found if "src" in at or tag in ("link", "iframe", "object")]
@@ -230,7 +230,7 @@ def test_header_shows_any_start_time(tmp_path, start_ns):
     assert "mcap" in report(tmp_path / "r.html", recording=replace(recording(), start_ns=start_ns))
 
 
-def test_a_log_of_one_instant_has_a_time_axis(tmp_path):
+def test_page_of_one_instant_has_a_time_axis(tmp_path):
     one = series(np.array([0.0]), np.zeros((1, 1)), ("a",), "rad")
     instant = replace(recording(), joints=one, truth=None, skin=None, duration_s=0.0)
     found = estimate(joints=("a",), errors={}, cov=np.ones((1, 1, 1)), free_energy=np.zeros(1))

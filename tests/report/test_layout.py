@@ -12,7 +12,7 @@ def _panels(tree):
     return _panels(tree["first"]) | _panels(tree["second"])
 
 
-def test_every_panel_shown_is_configured_and_every_configured_one_shown():
+def test_layout_shows_exactly_the_configured_panels():
     made = layout("/cam", estimate(), {"side": "/side/image"})
     side = made["configById"]["Image!side"]["imageMode"]
     assert side["imageTopic"] == "/side/image" and list(side["annotations"]) == ["/bodylog/annotations/side"]

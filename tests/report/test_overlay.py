@@ -21,14 +21,14 @@ def marked(image):
 
 @pytest.mark.parametrize("place", [(100.0, 50.0), (220.4, 150.7), (30.0, 30.0)])
 @pytest.mark.parametrize("which", ["seen", "predicted", "hand"])
-def test_a_mark_is_centred_where_it_was_seen(place, which):
+def test_mark_is_centred_on_its_sighting(place, which):
     marks = {"seen": None, "predicted": None, "hand": None} | {which: np.array(place)}
     found = marked(overlay(GREY, cov=None, **marks))
     assert (found.min(axis=0) + found.max(axis=0)) / 2 == pytest.approx(place[::-1], abs=0.6)
 
 
 @pytest.mark.parametrize("turn", np.linspace(0, np.pi, 7))
-def test_the_ellipse_is_two_sigma_along_its_axes(turn):
+def test_ellipse_is_two_sigma_along_its_axes(turn):
     axis = np.array([np.cos(turn), np.sin(turn)])
     across = np.array([-axis[1], axis[0]])
     cov = 25.0**2 * np.outer(axis, axis) + 12.0**2 * np.outer(across, across)
@@ -47,7 +47,7 @@ def test_marks_that_cannot_be_drawn_are_left_out(cov):
     assert np.abs(cross - (100, 150)).max() <= 9
 
 
-def test_the_picture_given_is_not_drawn_on():
+def test_overlay_does_not_change_the_input_image():
     image = GREY.copy()
     overlay(image, np.array([50.0, 50.0]), None, None, None)
     assert (image == GREY).all()
@@ -61,11 +61,11 @@ def test_pictures_are_spread_over_the_log_and_say_what_was_seen():
     assert any(p.caption.endswith("not seen") for p in hidden)
 
 
-def test_without_a_camera_there_are_no_pictures():
+def test_pictures_are_empty_without_a_camera():
     assert pictures(replace(recording(), frames=None), features(), estimate()) == ()
 
 
-def test_a_damaged_picture_gives_way_to_the_next():
+def test_damaged_image_is_replaced_by_the_next():
     def broken(k):
         raise FormatError("frame")
 
@@ -75,7 +75,7 @@ def test_a_damaged_picture_gives_way_to_the_next():
     assert len(pictures(replace(good, frames=lambda: iter(frames)), features(), estimate(), 6)) == 6
 
 
-def test_a_sheet_is_one_png_of_all_pictures_and_the_same_twice(tmp_path):
+def test_sheet_is_one_png_with_identical_bytes(tmp_path):
     drawn = pictures(recording(), features(), estimate(), 5)
     for name in ("a.png", "b.png"):
         overlay_sheet(drawn, tmp_path / name)
@@ -83,14 +83,14 @@ def test_a_sheet_is_one_png_of_all_pictures_and_the_same_twice(tmp_path):
     assert cv2.imread(str(tmp_path / "a.png")).shape == (2 * (240 + 26) + 26, 960, 3)
 
 
-def test_a_sheet_of_nothing_or_of_another_kind_is_refused(tmp_path):
+def test_sheet_refuses_no_images_and_other_formats(tmp_path):
     with pytest.raises(UsageError, match="no images"):
         overlay_sheet((), tmp_path / "a.png")
     with pytest.raises(UsageError, match=r"type: .*a\.png"):
         overlay_sheet(pictures(recording(), features(), estimate(), 1), tmp_path / "a.jpg")
 
 
-def test_every_cameras_pictures_are_shown_with_its_own_marks():
+def test_pictures_show_each_cameras_own_marks():
     log, seen = recording(), features()
     aside = replace(seen, tracks=seen.tracks | {"side/effector": seen.tracks["effector"]})
     drawn = pictures(replace(log, views={"side": log.frames}), aside, estimate(), 3)

@@ -37,7 +37,7 @@ def test_measured_uses_the_part_behind_the_camera():
 @pytest.mark.parametrize(
     ("mark", "ink"), [("seen", measured("effector")), ("predicted", PREDICTED), ("hand", measured("hand"))]
 )
-def test_the_page_and_the_annotations_draw_a_meaning_in_one_colour(mark, ink):
+def test_page_and_annotations_share_their_colours(mark, ink):
     """Pixels of the page's images, and colours in the messages that Foxglove draws."""
     drawn = overlay(GREY, cov=None, **({"seen": None, "predicted": None, "hand": None} | {mark: CENTRE}))
     assert (drawn == ink.rgb[::-1]).all(axis=2).any()
@@ -48,7 +48,7 @@ def test_the_page_and_the_annotations_draw_a_meaning_in_one_colour(mark, ink):
     assert np.array([*ink.image, 1.0]).tobytes() in bytes(payloads.data)
 
 
-def test_the_page_takes_its_colours_from_the_table():
+def test_page_takes_its_colours_from_the_table():
     style = re.search("<style>(.*?)</style>", document("", "", ()), re.DOTALL)[1]
     for name, ink in {"predicted": PREDICTED, "other": OTHER, **MEASURED}.items():
         assert f"--{name}:{ink.plot}" in style

@@ -37,7 +37,7 @@ def drag_across(window, index, start, end):
     window.drag((round(left + start * width), y), (round(left + end * width), y))
 
 
-def test_it_opens_without_complaint_and_draws_every_panel(whole):
+def test_page_opens_without_errors_and_draws_every_panel(whole):
     assert whole.complaints() == []
     sizes = whole.run("return [...document.querySelectorAll('canvas')].map((c) => [c.width, c.height])")
     assert len(sizes) == 17
@@ -70,14 +70,14 @@ def test_arrows_and_signs_move_and_zoom_all(whole):
     assert all(view == pytest.approx([6.4, 18.4], abs=0.01) for view in whole.run(RANGES))
 
 
-def test_the_cursor_reads_every_panel_at_once(whole):
+def test_cursor_reads_every_panel_at_once(whole):
     left, top, width, height = whole.run(SHOW, 0)
     whole.drag((round(left + width / 2), round(top + height / 2)), (round(left + width / 2), round(top + height / 2)))
     keys = whole.run("return [...document.querySelectorAll('.key')].map((k) => k.textContent)")
     assert all(any(digit in key for digit in "0123456789–") for key in keys if key != "feltseen")
 
 
-def test_a_link_in_a_table_leads_to_its_moment(whole):
+def test_table_link_jumps_to_its_time(whole):
     whole.run("[...document.querySelectorAll('td a')].find((a) => a.textContent === '8.250 s').click()")
     whole.settle()
     assert all(view == pytest.approx([7.75, 8.75], abs=0.01) for view in whole.run(RANGES))
@@ -92,7 +92,7 @@ def test_hostile_names_stay_text(tmp_path, window):
     assert "<img src=x onerror=window.hit=1>" in window.run("return document.querySelector('h1').textContent")
 
 
-def test_a_script_that_got_into_the_page_would_not_run(tmp_path, window):
+def test_injected_script_does_not_run(tmp_path, window):
     text = report(tmp_path / "r.html")
     (tmp_path / "r.html").write_text(text.replace("</body>", "<script>window.hit = 1</script></body>"))
     window.open(tmp_path / "r.html")

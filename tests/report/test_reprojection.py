@@ -25,7 +25,7 @@ def some(off=3.0):
     return seen, replace(found, kinematic={"effector": alone})
 
 
-def test_what_was_seen_stands_beside_what_was_expected():
+def test_sheets_pair_measured_and_expected_points():
     seen, found = some()
     (sheet,) = sheets(seen, found)
     known = np.isfinite(seen.tracks["effector"].values).all(axis=1)
@@ -35,7 +35,7 @@ def test_what_was_seen_stands_beside_what_was_expected():
     assert sheet.magnified in (1, 2, 5, 10) and len(sheet.some().measured) == reprojection.POINTS
 
 
-def test_a_track_without_kinematics_or_sightings_is_left_out():
+def test_sheets_omit_tracks_without_kinematics_or_sightings():
     seen, found = some()
     assert sheets(seen, estimate()) == () and sheets(replace(seen, tracks={}), found) == ()
     blind = replace(seen.tracks["effector"], values=np.full_like(seen.tracks["effector"].values, np.nan))
@@ -55,7 +55,7 @@ def test_zeros_leaves_out_invalid_entries(given):
     assert zeros(given) == ()
 
 
-def test_the_page_escapes_names_and_the_figures_are_drawn(tmp_path):
+def test_page_escapes_names_and_figures_are_drawn(tmp_path):
     name = "<b>$x_1$&"
     point = np.array([[0.0, 0.0], [5.0, 3.0]])
     drawn = [Sheet(name, point, point + 1.0, point), Sheet("still", point[:1], point[:1], point[:1])]

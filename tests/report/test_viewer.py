@@ -97,7 +97,7 @@ def test_points_lie_where_and_when_the_log_says(seen, annotated):
 
 
 @there
-def test_the_overlay_lies_in_the_pictures_plane(seen):
+def test_overlay_lies_in_the_image_plane(seen):
     from rerun.chunk import RrdReader
 
     frames = {}
@@ -111,7 +111,7 @@ def test_the_overlay_lies_in_the_pictures_plane(seen):
 
 
 @there
-def test_a_log_without_an_estimate_is_shown_as_it_is(run_cli, robot, tmp_path, capsys):
+def test_view_shows_a_log_without_an_estimate(run_cli, robot, tmp_path, capsys):
     capsys.readouterr()
     assert run_cli("view", robot / "reach.mcap", "-o", tmp_path / "r.rrd") == 0
     printed = rerun(tmp_path, "rrd", "stats", tmp_path / "r.rrd")
@@ -119,14 +119,14 @@ def test_a_log_without_an_estimate_is_shown_as_it_is(run_cli, robot, tmp_path, c
 
 
 @there
-def test_a_bag_is_shown_by_way_of_a_tidy_log(run_cli, arm, tmp_path):
+def test_view_converts_a_bag_first(run_cli, arm, tmp_path):
     assert run_cli("view", arm / "reach.bag", "-o", tmp_path / "b.rrd") == 0
     printed = rerun(tmp_path, "rrd", "stats", tmp_path / "b.rrd")
     assert "/joint_states/position" in printed and "image" in printed
 
 
 @there
-def test_a_packed_log_is_unpacked_for_rerun(run_cli, robot, tmp_path):
+def test_view_decompresses_a_packed_log(run_cli, robot, tmp_path):
     import zstandard
 
     (tmp_path / "x.mcap.zst").write_bytes(zstandard.compress((robot / "reach.mcap").read_bytes()))
@@ -150,7 +150,7 @@ def test_frame_id_of_a_topic_with_two_schemas_is_the_first_ones(tmp_path):
 
 
 @there
-def test_of_a_log_cut_short_what_is_sound_is_shown(run_cli, annotated, tmp_path):
+def test_view_shows_the_sound_part_of_a_truncated_log(run_cli, annotated, tmp_path):
     whole = annotated.read_bytes()
     for bytes_left, code in ((len(whole) // 2, 3), (len(whole) - 10, 0)):
         (tmp_path / "cut.mcap").write_bytes(whole[:bytes_left])
@@ -184,7 +184,7 @@ def test_pictures_that_rerun_cannot_read_are_converted_or_left_out_by_name(run_c
 
 
 @there
-def test_of_a_log_that_rerun_refuses_whole_what_plays_a_role_is_shown(run_cli, tmp_path, capsys):
+def test_view_falls_back_to_topics_with_roles(run_cli, tmp_path, capsys):
     log, out = tmp_path / "bad.mcap", tmp_path / "bad.rrd"
     broken = Stream("/bad", "broken_msgs/msg/Garbage", b"!!", [(T0, b"\0\1\0\0")])
     rows = [(T0 + i, joint_state(T0 + i, ("a",), (0.1 * i,))) for i in range(5)]
@@ -224,7 +224,7 @@ def test_events_are_in_order_with_their_synchrony():
 
 
 @there
-def test_what_rerun_refuses_is_one_line_and_leaves_nothing(tmp_path):
+def test_rerun_failure_is_one_line_and_leaves_nothing(tmp_path):
     (tmp_path / "a.mcap").write_bytes(b"no log at all" * 100)
     with pytest.raises(LogError, match=r"a\.mcap: Rerun cannot read it \(.+\); type: bodylog doctor") as refused:
         rerun_process.recording(tmp_path / "a.mcap", tmp_path / "a.rrd", "a", lambda out, identity, unshown: None)
@@ -232,7 +232,7 @@ def test_what_rerun_refuses_is_one_line_and_leaves_nothing(tmp_path):
 
 
 @there
-def test_without_a_screen_the_error_says_what_to_type(annotated, run_cli, monkeypatch, capsys, tmp_path):
+def test_view_without_a_screen_gives_the_command_to_type(annotated, run_cli, monkeypatch, capsys, tmp_path):
     rerun_process.disable_analytics(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
@@ -244,7 +244,7 @@ def test_without_a_screen_the_error_says_what_to_type(annotated, run_cli, monkey
     assert ".rs:" not in err and "DISPLAY" in err
 
 
-def test_without_rerun_the_error_says_what_to_type(monkeypatch):
+def test_missing_rerun_gives_the_command_to_type(monkeypatch):
     monkeypatch.setattr(rerun_process, "find_spec", lambda name: None)
     with pytest.raises(UsageError, match=r"pip install 'bodylog\[view\]'"):
         rerun_process.ready()

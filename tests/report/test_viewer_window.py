@@ -42,7 +42,7 @@ def window(run_cli, robot, tmp_path):
 SHOT = "import sys; from rerun.experimental import ViewerClient; ViewerClient(sys.argv[1]).save_screenshot(sys.argv[2])"
 
 
-def test_the_prediction_is_drawn_on_the_picture(window, tmp_path):
+def test_viewer_draws_the_prediction_on_the_image(window, tmp_path):
     import cv2
     import numpy as np
 
