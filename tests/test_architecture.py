@@ -104,16 +104,16 @@ def test_imports_run_in_no_circle():
     assert not left
 
 
-def test_every_room_says_what_it_is_for():
+def test_modules_have_a_docstring():
     assert not [name for name, path in MODULES.items() if not ast.get_docstring(ast.parse(path.read_text()))]
 
 
-def test_no_file_is_longer_than_300_lines():
+def test_files_have_at_most_300_lines():
     files = [path for folder in ("bodylog", "cli") for path in (ROOT / folder).rglob("*.py")]
     assert not {str(path): long for path in files if (long := len(path.read_text().splitlines())) > 300}
 
 
-def test_every_file_stands_in_the_page_on_the_architecture():
+def test_architecture_page_lists_every_file():
     paths = [path for path in (ROOT / "bodylog").rglob("*.py") if path.parent.name != "scenarios"]
     files = {path.stem for path in paths} - {"__init__", "version"}
     missing = {name for name in files if f"`{name}`" not in PAGE and f"`{name}.py`" not in PAGE}
@@ -133,7 +133,7 @@ def test_library_never_prints_exits_or_reads_the_environment():
     assert not wrong
 
 
-def test_all_that_is_public_is_there():
+def test_public_names_exist():
     assert set(bodylog.__all__) == {name for name in bodylog.__all__ if getattr(bodylog, name)}
     assert bodylog.estimate is bodylog.pipeline.estimate
 

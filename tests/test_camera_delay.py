@@ -26,7 +26,7 @@ def off(model, seed=9):
     return float(np.sqrt(np.mean(np.square(model.senses["effector"].predict(truth)[0] - other.pixels[: len(truth)]))))
 
 
-def test_a_sound_exploration_is_learned_as_ever():
+def test_learn_does_not_change_a_sound_exploration():
     features = run(0, 0.003).features
     found, plain = learned(features), body.learn([features], Settings(), {"version": "0"})
     assert not findings_of(found) and found.model.provenance == plain.model.provenance and found.scores == plain.scores
@@ -35,7 +35,7 @@ def test_a_sound_exploration_is_learned_as_ever():
 
 
 @pytest.mark.parametrize("seed", [5, 11])
-def test_a_sound_exploration_too_short_to_tell_is_learned_as_ever(seed):
+def test_learn_does_not_change_a_short_sound_exploration(seed):
     features = run(seed, 0.003, 15.0).features
     found = learned(features)
     assert not findings_of(found) and "delay" not in found.model.provenance
@@ -45,7 +45,7 @@ LATE = ((0, -0.1), *(pytest.param(*case, marks=pytest.mark.soak) for case in ((1
 
 
 @pytest.mark.parametrize("seed, seconds", LATE)
-def test_a_late_exploration_is_learned_as_a_sound_one(seed, seconds):
+def test_learn_corrects_a_late_exploration(seed, seconds):
     features = run(seed, 0.003).features
     sound, late = learned(features), learned(delayed(features, seconds))
     left = learned(delayed(features, seconds), delay="off")
@@ -60,7 +60,7 @@ def test_a_late_exploration_is_learned_as_a_sound_one(seed, seconds):
     assert again.settings["delay"] == late.model.provenance["delay"]
 
 
-def test_each_log_has_its_own_and_what_is_too_short_follows_the_surest():
+def test_learn_gives_each_log_its_delay():
     first, other, short = (run(seed, 0.003, duration).features for seed, duration in ((0, 40.0), (1, 40.0), (2, 2.0)))
     found = learned(delayed(first, 0.05), delayed(other, -0.04), delayed(short, 0.05))
     texts = findings_of(found)
@@ -68,7 +68,7 @@ def test_each_log_has_its_own_and_what_is_too_short_follows_the_surest():
     assert abs(found.model.provenance["delay"]["camera"]) == pytest.approx(0.045, abs=0.007)
 
 
-def test_what_is_given_is_taken_off_and_kept():
+def test_learn_corrects_and_stores_a_configured_delay():
     features = run(3, 0.003).features
     found = learned(delayed(features, 0.05), delay={"camera": 0.05})
     plain = learned(features)

@@ -24,7 +24,7 @@ def film(monkeypatch: pytest.MonkeyPatch) -> Recording:
     return found
 
 
-def test_the_tag_that_moves_as_the_joints_do_is_followed_where_green_is_not_the_arms(film: Recording) -> None:
+def test_guess_follows_the_arms_tag_instead_of_green(film: Recording) -> None:
     read, found = pipeline.observe(Path("log.mcap"), Settings(), guess=True)
     first, second = (finding.text for finding in found.findings[:2])
     assert "effector: green is not the arm's: it does not move as the joints do" in first and "tag = 7" in first
@@ -37,7 +37,7 @@ def test_the_tag_that_moves_as_the_joints_do_is_followed_where_green_is_not_the_
     assert default_features.of_body(learned, Settings()).features == read.settings.features
 
 
-def test_what_is_configured_is_not_guessed(film: Recording) -> None:
+def test_configured_features_are_not_guessed(film: Recording) -> None:
     read, found = pipeline.observe(Path("log.mcap"), Settings(colours=Colours(effector="yellow")), guess=True)
     assert not read.settings.features and not any("is not the arm's" in one.text for one in found.findings)
     body = json.dumps({"features": {"effector": {"tag": 9, "dictionary": "4x4_50"}}, "colours": {}})
@@ -46,7 +46,7 @@ def test_what_is_configured_is_not_guessed(film: Recording) -> None:
 
 
 @pytest.mark.soak
-def test_a_body_is_learned_from_a_tag_among_clutter_and_used_without_configuration(tmp_path: Path, run_cli) -> None:
+def test_body_learned_from_a_tag_needs_no_configuration(tmp_path: Path, run_cli) -> None:
     typed = ("--size", "640x480", "--feature", "tag", "--clutter")
     assert run_cli("record", "babble", "-o", tmp_path / "explore.mcap", "--duration", 30, "--seed", 4, *typed) == 0
     assert run_cli("record", "reach", "-o", tmp_path / "reach.mcap", "--duration", 6, "--seed", 5, *typed) == 0
@@ -64,7 +64,7 @@ def test_provenance_that_names_no_source_leaves_the_default(settings: str) -> No
     assert default_features.of_body(learned, Settings()) == Settings()
 
 
-def test_an_arm_with_a_green_ball_is_followed_as_ever(arm: Path) -> None:
+def test_guess_keeps_the_green_ball_of_the_arm(arm: Path) -> None:
     read, found = pipeline.observe(arm / "explore.mcap", Settings(), guess=True)
     _, plain = pipeline.observe(arm / "explore.mcap", Settings())
     assert not read.settings.features and found.effector is not None and plain.effector is not None

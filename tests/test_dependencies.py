@@ -53,27 +53,27 @@ def _imported(*folders):
     return {DISTRIBUTIONS.get(module, module) for module in third}
 
 
-def test_what_the_package_imports_is_a_dependency_or_an_extra():
+def test_package_imports_are_dependencies_or_extras():
     assert _imported("bodylog", "cli") == _declared(*(set(EXTRAS) - OURS_ALONE - {"all"}))
 
 
-def test_what_the_tests_import_is_declared():
+def test_imports_of_tests_are_declared():
     assert not _imported("tests", "docs") - _declared(*(set(EXTRAS) - {"all"}))
     assert not _declared("test") - _declared() - _imported("tests") - COMMANDS
     assert not _declared("bench") - _declared() - _imported("tests/benchmarks")
 
 
-def test_all_has_every_extra_but_the_tests():
+def test_extra_all_has_every_extra_except_tests():
     (listed,) = EXTRAS["all"]
     assert set(re.search(r"\[(.*)\]", listed).group(1).split(",")) == set(EXTRAS) - OURS_ALONE - {"all"}
 
 
-def test_every_bound_is_a_lowest_version():
+def test_dependencies_bound_only_the_lowest_version():
     words = [*PROJECT["dependencies"], *(word for extra in set(EXTRAS) - {"all"} for word in EXTRAS[extra])]
     assert not [word for word in words if not re.fullmatch(r"[\w.\[\]-]+>=[\d.]+", word)]
 
 
-def test_every_package_is_in_the_wheel():
+def test_wheel_has_every_package():
     listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
     there = {path.parent.relative_to(ROOT) for path in (ROOT / "bodylog").rglob("__init__.py")}
     assert listed == {".".join(path.parts) for path in there} | {"bodylog_cli"}

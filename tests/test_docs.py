@@ -22,13 +22,13 @@ def test_cli_reference_is_what_help_says():
 
 
 @pytest.mark.parametrize("name", bodylog.commands)
-def test_every_command_has_help_that_ends_with_an_example(name):
+def test_help_of_each_command_ends_with_an_example(name):
     command = bodylog.commands[name]
     assert command.help
     assert command.epilog is not None and command.epilog.startswith(f"Example: bodylog {name}")
 
 
-def test_the_help_names_every_method_and_the_formats_what_each_names():
+def test_help_and_formats_page_name_every_method():
     from bodylog.estimation import METHODS
 
     (method,) = (option for option in bodylog.commands["estimate"].params if option.name == "method")
@@ -37,13 +37,13 @@ def test_the_help_names_every_method_and_the_formats_what_each_names():
     assert "`kalman` and `predictive-coding` report frozen, dead and jumping encoders, but no drift" in faults
 
 
-def test_every_topic_that_is_written_stands_in_the_page_on_formats():
+def test_formats_page_lists_every_written_topic():
     page = (ROOT / "docs" / "formats.md").read_text()
     topics = re.findall(r'PREFIX \+ "(\w+)', (ROOT / "bodylog" / "annotating" / "messages.py").read_text())
     assert len(topics) > 10 and not {topic for topic in topics if f"/bodylog/{topic}" not in page}
 
 
-def test_the_page_of_the_command_line_says_how_shells_complete():
+def test_cli_page_explains_shell_completion():
     page = (ROOT / "docs" / "cli.md").read_text()
     for shell in re.findall(r"_BODYLOG_COMPLETE=(\w+)_source", page):
         assert shell in {"bash", "zsh", "fish"}
@@ -53,11 +53,11 @@ def test_the_page_of_the_command_line_says_how_shells_complete():
     assert done.returncode == 0 and "#compdef bodylog" in done.stdout
 
 
-def test_the_readme_has_at_most_100_lines():
+def test_readme_has_at_most_100_lines():
     assert len((ROOT / "README.md").read_text().splitlines()) <= 100
 
 
-def test_the_citation_names_this_version():
+def test_citation_names_this_version():
     citation = YAML(typ="safe").load(ROOT / "CITATION.cff")
     assert {"cff-version", "message", "title", "authors"} <= set(citation)
     assert citation["version"] == __version__

@@ -28,12 +28,12 @@ def _defined(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("row", ROWS)
-def test_every_equation_names_its_function(row):
+def test_equations_name_their_functions(row):
     assert re.search(r"`[\w/]+\.py` `[\w.]+`", row)
 
 
 @pytest.mark.parametrize(("file", "name"), NAMED)
-def test_every_function_named_exists(file, name):
+def test_method_page_names_existing_functions(file, name):
     assert name in _defined(ROOT / "bodylog" / file)
 
 
@@ -42,7 +42,7 @@ PREFIXES = {"Rubber-hand": "RH", "Baselines": "B"}
 """How the claims of an experiment begin where not by its name."""
 
 
-def test_the_reproduced_tables_have_every_experiment_and_a_verdict_per_row():
+def test_paper_page_has_a_verdict_per_row():
     tables = PAPER.split("<!-- claims -->")[1].split("<!-- end of claims -->")[0]
     rows = [line for line in tables.splitlines() if re.match(r"\| \w+\.\d", line)]
     judged = {row.split()[1].partition(".")[0] for row in rows if re.search(rf"\*\*({VERDICTS})\*\*", row)}
@@ -51,12 +51,12 @@ def test_the_reproduced_tables_have_every_experiment_and_a_verdict_per_row():
     assert all(re.search(rf"\*\*({VERDICTS})\*\*", row) for row in rows)
 
 
-def test_what_depends_says_where_it_turns():
+def test_dependent_claims_give_their_turning_points():
     rows = [line for line in PAPER.splitlines() if line.startswith("| E") and "**depends on" in line]
     assert rows and all(len(row.split("|")[-2].strip()) > 5 for row in rows)
 
 
-def test_the_readings_are_those_that_can_be_run():
+def test_paper_page_lists_the_available_readings():
     from docs.generate_claims import readings
 
     assert PAPER.split("<!-- readings -->\n")[1].split("<!-- end of readings -->")[0] == readings()

@@ -66,7 +66,7 @@ def test_readings_taken_for_angles_would_be_far_off(learned):
     assert np.abs(readings - [true[joint] for joint in learned["square"].joints]).max() < 0.02
 
 
-def test_a_body_whose_readings_do_not_tell_the_angle_is_refused(learned):
+def test_online_refuses_a_body_with_ambiguous_readings(learned):
     model = learned["square"]
     middle = np.median(model.senses["effector"].samples, axis=0)
     turning = Polynomial(model.joints, np.column_stack([middle**2, -2.0 * middle, np.ones(len(middle))]))
@@ -110,7 +110,7 @@ def test_estimator_answers_each_step_even_with_a_late_part():
     np.testing.assert_array_equal(belief.x, last.x)
 
 
-def test_an_image_that_comes_with_the_first_joints_is_used_though_its_camera_is_late():
+def test_online_uses_a_late_image_with_the_first_joints():
     """All of a call is taken, or none of it: the image was dropped where its own time asked for a step of its own."""
     drawn = draw(2, duration=1.0)
     pan, lift, elbow = ({name: value} for name, value in zip(drawn.body.joints, (-0.9, -0.9, 1.0), strict=True))

@@ -61,7 +61,7 @@ def _slug(heading: str) -> str:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_every_link_leads_somewhere(page):
+def test_page_links_resolve(page):
     folder = (ROOT / page).parent
     for target in re.findall(r"(?<!`)\]\(([^)\s]+)\)", FENCE.sub("", PAGES[page])):
         if re.match(r"https?:", target):
@@ -106,7 +106,7 @@ def test_everything_public_stands_on_the_page_of_the_python_api():
     assert public <= set(listed) and len(listed) == len(set(listed))
 
 
-def test_every_page_is_in_the_navigation():
+def test_navigation_has_every_page():
     listed = re.findall(r": (\w[\w-]*\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
     assert sorted(listed) == sorted(path.name for path in ROOT.glob("docs/*.md"))
 
@@ -145,7 +145,7 @@ def _tables(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if _typed(page) and page not in RUN_ELSEWHERE])
-def test_every_command_runs(page, scene, run_cli, tmp_path, monkeypatch):
+def test_page_commands_run(page, scene, run_cli, tmp_path, monkeypatch):
     here = tmp_path / "scene"
     shutil.copytree(scene, here)
     monkeypatch.chdir(here)

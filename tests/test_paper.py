@@ -22,7 +22,7 @@ def source():
     return SOURCE.read_text(encoding="utf-8")
 
 
-def test_every_label_of_the_paper_stands_in_the_table(source):
+def test_paper_table_has_every_label(source):
     labels = {name for name in re.findall(r"\\label\{([^}]*)\}", source) if not name.startswith("sec:")}
     listed = {label for row in ROWS for label in re.findall(r"`([\w:]+)`", row[1])}
     assert len(labels) > 25 and listed == labels
@@ -60,7 +60,7 @@ def test_figures_have_the_numbers_latex_gives_them(source):
     assert given == found
 
 
-def test_every_figure_with_data_is_redrawn_by_its_number():
+def test_paper_figures_with_data_are_redrawn():
     drawn = set()
     for path in (ROOT / "bodylog" / "experiments").glob("*.py"):
         drawn |= set(re.findall(r'"([3-6][a-d])"', path.read_text(encoding="utf-8")))
@@ -70,6 +70,6 @@ def test_every_figure_with_data_is_redrawn_by_its_number():
 @pytest.mark.parametrize(
     "place", sorted({pair for row in ROWS for pair in re.findall(r"`([\w/]+\.py)` `([\w.]+)`", row[3])})
 )
-def test_every_function_named_is_there(place):
+def test_paper_page_names_existing_functions(place):
     file, name = place
     assert name in _defined(ROOT / "bodylog" / Path(file))

@@ -12,7 +12,7 @@ from bodylog.settings import Settings
 
 
 @pytest.mark.parametrize("out", ["a.mcap", "b.mcap", "body.npz", "link.npz"])
-def test_what_is_read_is_never_written_to(out: str, tmp_path: Path) -> None:
+def test_pipeline_refuses_to_overwrite_its_inputs(out: str, tmp_path: Path) -> None:
     first, second, body = (tmp_path / name for name in ("a.mcap", "b.mcap", "body.npz"))
     for path in (first, second, body):
         path.write_bytes(b"precious")
@@ -27,7 +27,7 @@ def test_what_is_read_is_never_written_to(out: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("stage", ["observe", "infer", "score_estimate"])
 @pytest.mark.parametrize("problem", [EvidenceError("no joints"), KeyboardInterrupt()])
-def test_an_estimate_that_ends_early_leaves_nothing(tmp_path, monkeypatch, arm, arm_body, stage, problem) -> None:
+def test_interrupted_estimate_leaves_nothing(tmp_path, monkeypatch, arm, arm_body, stage, problem) -> None:
     def ends(*_: object) -> None:
         assert len(list(tmp_path.iterdir())) == 2  # the copy is under way
         raise problem
@@ -40,7 +40,7 @@ def test_an_estimate_that_ends_early_leaves_nothing(tmp_path, monkeypatch, arm, 
     assert list(tmp_path.iterdir()) == [log]
 
 
-def test_an_output_that_cannot_be_is_refused_before_anything_is_read(tmp_path, monkeypatch, arm, arm_body) -> None:
+def test_impossible_output_is_refused_before_reading(tmp_path, monkeypatch, arm, arm_body) -> None:
     monkeypatch.setattr(pipeline, "observe", lambda *_: pytest.fail("the log was read"))
     with pytest.raises(OutputError, match="mkdir -p"):
         pipeline.estimate(arm / "touch.mcap", arm_body, tmp_path / "no" / "out.mcap", Settings())
@@ -62,7 +62,7 @@ def test_encoders_that_read_no_angles_are_scored_by_none():
     assert any("rmse/encoders is left out" in finding.text for finding in found.findings)
 
 
-def test_a_log_without_joints_is_named_when_a_body_shall_be_learned(tmp_path, monkeypatch, arm) -> None:
+def test_fit_names_a_log_without_joints(tmp_path, monkeypatch, arm) -> None:
     read, features = pipeline.observe(arm / "touch.mcap", Settings())
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: (read, replace(features, joints=None)))
     with pytest.raises(LogError, match=r"touch\.mcap: no joint readings to learn from"):
@@ -87,7 +87,7 @@ def test_estimate_rejects_images_of_another_width_unless_unused(tmp_path, arm, a
     assert out.exists()
 
 
-def test_an_encoder_that_is_off_from_the_first_on_may_be_the_camera() -> None:
+def test_constant_encoder_offset_may_be_the_camera() -> None:
     from bodylog.fault_findings import fault_warnings
     from bodylog.types import Fault
 

@@ -64,7 +64,7 @@ def test_robot_rejects_an_unreadable_description_only_if_requested(log_describes
         _robot(urdf="log")
 
 
-def test_one_of_another_robot_is_named_and_not_used_if_nobody_asked_for_it():
+def test_learn_ignores_an_unrequested_urdf_of_another_robot():
     text = ARM
     for name in JOINTS:
         text = text.replace(f'name="{name}"', f'name="left_{name}"')

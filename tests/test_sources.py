@@ -46,7 +46,7 @@ FEATURES = {
 }
 
 
-def test_each_kind_is_read_from_toml_and_printed_as_what_is_read_back(tmp_path) -> None:
+def test_sources_of_each_kind_round_trip_through_toml(tmp_path) -> None:
     path = tmp_path / "robot.toml"
     path.write_text(GIVEN)
     settings = load(path)
@@ -79,19 +79,19 @@ def test_each_kind_is_read_from_toml_and_printed_as_what_is_read_back(tmp_path) 
         (7, "features.it is 7; possible: a colour's name, or a table"),
     ],
 )
-def test_what_is_no_source_is_refused_in_one_line_with_what_is_possible(value, text) -> None:
+def test_invalid_source_is_refused_with_the_possible_values(value, text) -> None:
     with pytest.raises(ConfigError, match=text) as caught:
         merge(Settings(), {"features": {"it": value}}, "robot.toml")
     assert re.match(r"robot.toml: (unknown key )?features.it", str(caught.value)) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "a.b", "encoders", "touch"])
-def test_a_name_that_means_something_else_is_refused(name) -> None:
+def test_reserved_feature_name_is_refused(name) -> None:
     with pytest.raises(ConfigError, match="\\[features\\] names"):
         merge(Settings(), {"features": {name: "green"}}, "robot.toml")
 
 
-def test_a_feature_wins_over_a_colour_and_takes_the_default_effector_away() -> None:
+def test_feature_replaces_colour_and_default_effector() -> None:
     assert list(wanted(Settings())) == ["effector", "hand"]
     tagged = Settings(features={"wrist": TagSource(7)})
     assert wanted(tagged) == {"hand": ColourSource("red"), "wrist": TagSource(7)}
@@ -100,7 +100,7 @@ def test_a_feature_wins_over_a_colour_and_takes_the_default_effector_away() -> N
     assert wanted(Settings(features={"effector": TagSource(1)}))["effector"] == TagSource(1)
 
 
-def test_every_dictionary_of_opencv_has_a_name() -> None:
+def test_dictionaries_of_opencv_all_have_a_name() -> None:
     there = {name.upper() for name in dir(cv2.aruco) if name.startswith("DICT_")}
     ours = {f"DICT_{'ARUCO_' if name.startswith('mip') else ''}{name.upper()}" for name in DICTIONARIES}
     assert ours == there
@@ -110,7 +110,7 @@ def test_every_dictionary_of_opencv_has_a_name() -> None:
         assert len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, spelled)).bytesList) == count, name
 
 
-def test_a_board_gives_a_track_per_corner_where_it_lies() -> None:
+def test_board_gives_a_track_per_corner() -> None:
     board = CharucoSource("4x3", 0.1, 0.07)
     assert track_names("side/board", board) == tuple(f"side/board.{k}" for k in range(6))
     expected = cv2.aruco.CharucoBoard((4, 3), 0.1, 0.07, cv2.aruco.getPredefinedDictionary(0)).getChessboardCorners()

@@ -16,7 +16,7 @@ COMMAND = re.compile(r"python -m [\w.]+|make (?:bench|validation)|bodylog (?:rep
 
 
 @pytest.mark.parametrize("name", validation.NAMES)
-def test_each_script_has_its_table_on_one_page(name):
+def test_validation_scripts_have_one_table_each(name):
     assert callable(importlib.import_module(f"tests.validation.{name}").table)
     begin, end = validation.marks(name)
     (page,) = (text for text in PAGES.values() if begin in text)
@@ -25,7 +25,7 @@ def test_each_script_has_its_table_on_one_page(name):
     assert part.rstrip().endswith(f"`python -m tests.validation {name}`")
 
 
-def test_the_page_has_no_table_that_no_script_makes():
+def test_validation_page_has_only_generated_tables():
     text = PAGES["validation.md"]
     for name in validation.NAMES:
         begin, end = validation.marks(name)
@@ -35,7 +35,7 @@ def test_the_page_has_no_table_that_no_script_makes():
 
 
 @pytest.mark.parametrize("name", sorted(PAGES))
-def test_a_table_of_figures_has_the_command_that_makes_it_in_its_section(name):
+def test_validation_tables_state_their_command(name):
     section = ""
     for part in re.split(r"^(?=#+ )", PAGES[name], flags=re.MULTILINE):
         # a page's first part speaks for all that follow
@@ -45,7 +45,7 @@ def test_a_table_of_figures_has_the_command_that_makes_it_in_its_section(name):
             assert len(figures) < FEW or COMMAND.search(part) or COMMAND.search(section), table.splitlines()[0]
 
 
-def test_a_table_is_written_between_its_markers_and_nowhere_else(tmp_path, monkeypatch):
+def test_table_is_written_only_between_its_markers(tmp_path, monkeypatch):
     begin, end = validation.marks("delay")
     (tmp_path / "docs").mkdir()
     pages = {name: Path(tmp_path / "docs" / name) for name in ("one.md", "other.md")}

@@ -21,7 +21,7 @@ def test_verdict_of_a_sound_log_names_no_fault_and_its_error() -> None:
     )
 
 
-def test_without_truth_the_error_bars_stand_for_the_error() -> None:
+def test_verdict_without_truth_gives_typical_error_bars() -> None:
     typical = 2.0 * np.sqrt(np.median(np.einsum("nii->ni", SOUND.cov)))
     assert of_estimate(SOUND, ())[-1] == f"no truth to compare with; typical 2σ error bar ± {typical:.3g} rad"
 
@@ -38,20 +38,20 @@ def test_without_truth_the_error_bars_stand_for_the_error() -> None:
         (Fault("encoders", JOINTS[0], "new kind", 1.0, 2.0, "rad"), "new kind (encoders) since 1.0 s, 2 rad"),
     ],
 )
-def test_a_fault_is_named_first_and_its_sensor_is_not_called_sound(fault: Fault, text: str) -> None:
+def test_verdict_names_a_fault_first(fault: Fault, text: str) -> None:
     lines = of_estimate(replace(SOUND, faults=(fault,)), TRUTH)
     assert lines[0] == f"{fault.name}: {text}"
     assert lines[1] == f"no fault found in {len(JOINTS) - 1} encoders and effector"
 
 
-def test_a_fault_of_one_of_two_joints_says_that_it_cannot_tell_which() -> None:
+def test_verdict_admits_ambiguity_between_two_joints() -> None:
     either = " or ".join(JOINTS[:2])
     lines = of_estimate(replace(SOUND, faults=(Fault("encoders", either, "drifting", 8.8, float("nan"), "rad"),)), ())
     assert lines[0] == f"{either}: encoder drifts since 8.8 s (the log cannot tell which)"
     assert lines[1].startswith(f"no fault found in {len(JOINTS) - 2} encoder")
 
 
-def test_a_moved_or_frozen_camera_takes_its_track_from_the_sound_senses() -> None:
+def test_verdict_excludes_tracks_of_a_faulty_camera() -> None:
     moved = Fault("vision", "camera", "displaced", 4.0, 12.0, "px", 1.0)
     lines = of_estimate(replace(SOUND, faults=(moved,)), ())
     assert lines[:2] == (
@@ -59,7 +59,7 @@ def test_a_moved_or_frozen_camera_takes_its_track_from_the_sound_senses() -> Non
     )  # fmt: skip
 
 
-def test_a_verdict_stays_short_however_many_faults_there_are() -> None:
+def test_verdict_stays_short_with_many_faults() -> None:
     many = tuple(Fault("encoders", f"j{k}", "frozen", 1.0, 0.0, "rad") for k in range(9))
     lines = of_estimate(replace(SOUND, faults=many), TRUTH)
     assert len(lines) == 6 and lines[3] == "6 more faults"
@@ -72,14 +72,14 @@ def test_delays_are_stated_unless_they_are_tiny() -> None:
     assert not any("third" in line for line in lines)
 
 
-def test_what_was_not_looked_for_is_not_called_sound() -> None:
+def test_verdict_omits_unchecked_faults_from_sound_senses() -> None:
     blind = replace(SOUND, used={"encoders": Health(10, 10), "effector": Health(5, 0)})
     assert of_estimate(blind, ())[0].endswith("encoders; without images, an encoder offset cannot be found")
     simple = replace(SOUND, method="kalman", can=Capabilities(repairs=False))
     assert of_estimate(simple, ())[0].endswith("; kalman does not look for encoder offsets")
 
 
-def test_a_body_states_held_out_error_and_offsets_that_are_sure() -> None:
+def test_body_verdict_states_holdout_error_and_sure_offsets() -> None:
     scores = (
         Score("rmse/held_out/tip", 0.39, "px"), Score("nis/held_out/tip", 1.3, "1"),
         Score("offset/pan", 0.035, "rad"), Score("std/offset/pan", 0.002, "rad"),
@@ -92,7 +92,7 @@ def test_a_body_states_held_out_error_and_offsets_that_are_sure() -> None:
     )
 
 
-def test_a_batch_counts_how_logs_ended_and_names_the_worst() -> None:
+def test_batch_verdict_counts_outcomes_and_names_the_worst() -> None:
     rows = [{"status": "passed"}, {"status": "passed"}, {"status": "unusable"}]
     assert of_batch(rows, {"a": 0.01, "b": 0.03}) == (
         "3 logs: 2 passed, 1 unusable",

@@ -23,7 +23,7 @@ def table(path, names=JOINTS, count=40):
     return path
 
 
-def test_a_track_left_out_is_not_learned(tmp_path, run_cli, capsys):
+def test_excluded_track_is_not_learned(tmp_path, run_cli, capsys):
     log = table(tmp_path / "poses.csv")
     (tmp_path / "arm.urdf").write_text(ARM)
     for name, more in (("all", ()), ("some", ("--without", "published"))):
@@ -33,7 +33,7 @@ def test_a_track_left_out_is_not_learned(tmp_path, run_cli, capsys):
         assert senses == ({"tip", "published"} if name == "all" else {"tip"})
 
 
-def test_a_feature_is_left_out_with_all_its_tracks_and_a_wrong_name_is_refused():
+def test_excluded_feature_drops_its_tracks_and_checks_names():
     one = features(robots.angles(5))
     (kept,) = to_learn([one], Settings(fit=Fit(without=("board",))))
     assert not kept.tracks and not kept.boards and one.tracks
@@ -41,7 +41,7 @@ def test_a_feature_is_left_out_with_all_its_tracks_and_a_wrong_name_is_refused()
         to_learn([one], Settings(fit=Fit(without=("bord",))))
 
 
-def test_a_urdf_of_other_joints_is_refused_before_images_are_read(tmp_path):
+def test_urdf_of_other_joints_is_refused_before_reading_images(tmp_path):
     (tmp_path / "arm.urdf").write_text(ARM)
     chosen = Settings(kinematics=Kinematics(urdf=str(tmp_path / "arm.urdf")))
     check([table(tmp_path / "poses.csv")], chosen)
