@@ -3,7 +3,6 @@
 Numbers that are not requested are not parsed.
 """
 
-import json
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -15,17 +14,15 @@ from ...errors import FormatError
 from ...io.values import read_json
 from ...io.values import text as encodable
 from ..records import Array
+from .decimals import POWER, numbers
 from .message_path import Step
 from .object_places import Item, Place, column, items, text
 
 _TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"(\s*:)?|-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?', re.S)
-_POWER = b"\x01"
-"""Replaces the e of an exponent and counts as a number's character; JSON contains no such byte."""
-
 _SMALL = 0x20
 """The bit by which a lower-case letter differs from its capital."""
 
-_IN_NUMBERS = b"0123456789+-." + _POWER
+_IN_NUMBERS = b"0123456789+-." + POWER
 Follow = Callable[..., Iterator[Item]]
 
 
@@ -34,11 +31,11 @@ def marked(content: Array) -> bytes:
 
     Empty if the mark already occurs, which no JSON contains. Changes `content`.
     """
-    if (content == _POWER[0]).any():
+    if (content == POWER[0]).any():
         return b""
     letters = np.flatnonzero((content[:-1] | _SMALL) == ord("e"))
     following = content[letters + 1]
-    content[letters[(following == ord("-")) | (following == ord("+"))]] = _POWER[0]
+    content[letters[(following == ord("-")) | (following == ord("+"))]] = POWER[0]
     return content.tobytes()
 
 
@@ -77,12 +74,12 @@ class JsonLayout:
         if not self._fits(np.frombuffer(content, np.uint8), begin, starts, ends - starts):
             return None
 
-        def numbers(places: Sequence[Place]) -> Array | None:
+        def at(places: Sequence[Place]) -> Array | None:
             return self._numbers(content, starts, ends, [place.at for place in places])
 
         found: list[Array | tuple[str, ...]] = []
         for some, alone in zip(self._items, single, strict=True):
-            values = column(some, alone, count, numbers)
+            values = column(some, alone, count, at)
             if values is None:
                 return None
             found.append(values)
@@ -91,7 +88,7 @@ class JsonLayout:
     def _shadow(self) -> Any:
         """The message with positions in place of its numbers and texts."""
         values, out, last = [], [], 0
-        payload = self._payload.replace(_POWER, b"e")
+        payload = self._payload.replace(POWER, b"e")
         for match in _TOKEN.finditer(payload):
             if match[1] is None:
                 values.append((match.start(), match.end(), read_json(match[0])))
@@ -142,22 +139,9 @@ class JsonLayout:
         return True
 
     def _numbers(self, content: bytes, starts: Array, ends: Array, runs: Sequence[int]) -> Array | None:
-        """The numbers (n,K) in runs; adjacent numbers are parsed as one text."""
-        parts, first = [], 0
-        for k in range(1, len(runs) + 1):
-            if k < len(runs) and self._in_a_row(runs[k - 1], runs[k]):
-                continue
-            low, high = starts[:, runs[first]].tolist(), ends[:, runs[k - 1]].tolist()
-            part = _parsed([content[a:b] for a, b in zip(low, high, strict=True)], len(low) * (k - first))
-            if part is None:
-                return None
-            parts.append(part.reshape(len(low), k - first))
-            first = k
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-
-    def _in_a_row(self, one: int, other: int) -> bool:
-        between = self._payload[self._at[one] + self._lengths[one] : self._at[other]]
-        return other == one + 1 and between.strip() == b","
+        """The numbers (n,K) in runs."""
+        found = numbers(content, starts[:, runs].ravel(), ends[:, runs].ravel())
+        return None if found is None else found.reshape(len(starts), len(runs))
 
 
 def _runs(content: bytes) -> Array:
@@ -165,18 +149,7 @@ def _runs(content: bytes) -> Array:
     found = np.frombuffer(content, np.uint8)
     # Comparing bytes is faster than a lookup table: from - to 9 are the point, the slash and the digits.
     inside = ((found - ord("-")) <= ord("9") - ord("-")) & (found != ord("/"))
-    inside |= (found == ord("+")) | (found == _POWER[0])
+    inside |= (found == ord("+")) | (found == POWER[0])
     if not len(content) or inside[0] or inside[-1]:
         raise FormatError("it begins or ends with a number")
     return np.flatnonzero(inside[1:] != inside[:-1]) + 1
-
-
-def _parsed(pieces: list[bytes], count: int) -> Array | None:
-    """The `count` numbers (n,) of marked texts, int64 if all are whole; None if one exceeds 64 bits."""
-    text = b",".join(pieces)
-    try:
-        found = json.loads(b"[" + (text.replace(_POWER, b"e") if _POWER in text else text) + b"]")
-        values = np.array(found if len(found) == count else [None])
-    except (ValueError, OverflowError):
-        return None
-    return values if values.dtype in (np.int64, np.float64) else None
