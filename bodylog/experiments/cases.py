@@ -13,6 +13,7 @@ from .lab import JOINTS, ObservedLog
 from .printed import DT, Case, Map, Signals, Touching, believed
 from .readings import Reading
 
+Cases = Mapping[str, Case]
 SCALE = float(np.exp(0.1))
 """The printed l, rad."""
 A_1 = 0.001
@@ -82,6 +83,11 @@ def case(
     unit, integration = _unit(known, reading, "sigma_v"), readings.value(reading, "integration")
     felt = _touching(known, reading) if touch or "t" in parts else None
     return Case(known.map(reading), encoders, "v" in parts, unit, integration, start, prior, felt, square)
+
+
+def cases(known: Explored, names: Sequence[str], off: Array | float = 0.0) -> Callable[[Reading, Signals], Cases]:
+    """For `study`: a run of each of some senses, from the true start plus `off` (M,) rad."""
+    return lambda reading, sensed: {name: case(known, reading, name, sensed.true[0] + off) for name in names}
 
 
 def _unit(known: Explored, reading: Reading, name: str) -> float:
@@ -171,10 +177,10 @@ class Made:
 
 
 def study(
-    tried: Sequence[Reading], log: Callable[[Reading], Signals], cases: Callable[[Reading, Signals], Mapping[str, Case]]
+    tried: Sequence[Reading], log: Callable[[Reading], Signals], cases: Callable[[Reading, Signals], Cases]
 ) -> dict[str, Made]:
     """The beliefs of all readings' runs, by the reading's key; those on one log run together."""
-    groups: dict[int, list[tuple[str, Signals, Mapping[str, Case]]]] = {}
+    groups: dict[int, list[tuple[str, Signals, Cases]]] = {}
     for reading in tried:
         sensed = log(reading)
         groups.setdefault(id(sensed), []).append((readings.key(reading), sensed, cases(reading, sensed)))

@@ -8,10 +8,10 @@ import numpy as np
 from ..types import Array
 from . import drawn, readings
 from .beliefs import Belief, ours
-from .cases import Explored, Made, case, explored, signals, study
+from .cases import Explored, Made, cases, explored, signals, study
 from .judging import Bound, Claim, Control, own, paper
 from .lab import NAMES, Lab, ObservedLog
-from .printed import Case, Signals
+from .printed import Signals
 from .readings import Reading
 from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
 from .static import kalman
@@ -55,7 +55,7 @@ class Logs:
 
 def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
     known, logs = explored(lab.body("paper", seed, "horizontal")), Logs(seed)
-    found = study(tried.all, logs.signals, lambda reading, observed: _cases(known, reading, observed, SENSES))
+    found = study(tried.all, logs.signals, cases(known, SENSES, OFF))
     lags = {speed: _lagging(known, logs, tried.all, speed) for speed in (FAST, SLOW)}
     figures: dict[str, float] = {}
     for reading in tried.all:
@@ -66,14 +66,10 @@ def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
     return {"figures": figures | own_figures, "panels": _panels(found[tried.keys[0]], beliefs)}
 
 
-def _cases(known: Explored, reading: Reading, sensed: Signals, senses: Sequence[str]) -> dict[str, Case]:
-    return {name: case(known, reading, name, sensed.true[0] + OFF) for name in senses}
-
-
 def _lagging(known: Explored, logs: Logs, tried: Sequence[Reading], speed: str) -> dict[str, float]:
     """Error (rad) of p+v by reading, at another speed."""
     moved = {readings.key(reading): {**reading, "speed": speed} for reading in tried}
-    found = study(list(moved.values()), logs.signals, lambda r, s: _cases(known, r, s, ["p+v"]))
+    found = study(list(moved.values()), logs.signals, cases(known, ["p+v"], OFF))
     return {key: found[readings.key(reading)].error("p+v", drawn.SETTLING) for key, reading in moved.items()}
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from ..types import Array
 from . import drawn, readings
 from .beliefs import Belief, ours
-from .cases import Explored, case, explored, signals, study
+from .cases import cases, explored, signals, study
 from .judging import Bound, Claim, Control, own, paper
 from .lab import Lab, ObservedLog
-from .printed import Case, Signals
+from .printed import Signals
 from .readings import Reading
 from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
 
@@ -60,7 +60,7 @@ class _Logs:
 def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
     known, logs = explored(lab.body("paper", seed)), _Logs(seed)
     found = {
-        sound: study(tried.all, partial(logs.signals, sound=sound), lambda r, s: _cases(known, r, s))
+        sound: study(tried.all, partial(logs.signals, sound=sound), cases(known, ("p", "p+v")))
         for sound in (True, False)
     }
     figures: dict[str, float] = {}
@@ -70,19 +70,12 @@ def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
         t = ill.signals.t
         figures |= {named(key, k): v for k, v in effects(t, ill.x["p+v"], sound.x["p+v"]).items()}
         figures[named(key, "alone")] = effects(t, ill.x["p"], sound.x["p"])["left"]
-    beliefs = {sound: _ours(lab, seed, logs.both(tried.decide[0], sound)[0]) for sound in (True, False)}
+    body, decisive = lab.body("default", seed), tried.decide[0]
+    beliefs = {sound: ours(logs.both(decisive, sound)[0], body, ("encoders", "vision")) for sound in (True, False)}
     whole = beliefs[False]
     figures |= {f"ours {k}": abs(v) for k, v in effects(whole.t, whole.x, beliefs[True].at(whole.t)).items()}
     first = found[False][tried.keys[0]]
     return {"figures": figures, "panels": _panels(first.signals, first.x, whole)}
-
-
-def _cases(known: Explored, reading: Reading, sensed: Signals) -> dict[str, Case]:
-    return {name: case(known, reading, name, sensed.true[0]) for name in ("p", "p+v")}
-
-
-def _ours(lab: Lab, seed: int, observed: ObservedLog) -> Belief:
-    return ours(observed, lab.body("default", seed), ("encoders", "vision"))
 
 
 def effects(t: Array, x: Array, sound: Array) -> dict[str, float]:

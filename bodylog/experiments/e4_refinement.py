@@ -9,10 +9,10 @@ import numpy as np
 from ..types import Array
 from . import readings
 from .beliefs import Belief, noisier, ours
-from .cases import Explored, Made, beside, case, explored, placed, signals, study
+from .cases import Made, beside, cases, explored, placed, signals, study
 from .judging import Bound, Claim, Control, own, paper
 from .lab import NAMES, Lab, ObservedLog
-from .printed import Case, Signals
+from .printed import Signals
 from .readings import Reading
 from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
 
@@ -65,7 +65,7 @@ def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
     known, logs = explored(lab.body("paper", seed)), Noises(observed, OWN_NOISE, beside(body), seed)
     rng = np.random.default_rng([seed, 4])
     off = rng.choice([-1.0, 1.0], 3) * rng.uniform(0.1, 0.2, 3)
-    found = study(tried.all, logs.signals, lambda r, s: _cases(known, r, s, off))
+    found = study(tried.all, logs.signals, cases(known, SENSES, off))
     figures: dict[str, float] = {}
     for reading in tried.all:
         key = readings.key(reading)
@@ -79,10 +79,6 @@ def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
             f"ours {name} {noise:g}": ours(poor, body, OURS[name], start=start).rmse(SINCE) for name in ("p", "p+t")
         }
     return {"figures": figures, "panels": _panels(found[tried.keys[0]], beliefs)}
-
-
-def _cases(known: Explored, reading: Reading, sensed: Signals, off: Any) -> dict[str, Case]:
-    return {name: case(known, reading, name, sensed.true[0] + off) for name in SENSES}
 
 
 def _figures(made: Made) -> dict[str, float]:

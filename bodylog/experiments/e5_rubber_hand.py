@@ -7,13 +7,11 @@ import numpy as np
 
 from ..types import Array
 from . import readings
-from .cases import Explored, beside, case, explored, study
+from .cases import beside, cases, explored, study
 from .drawn import SIZE
 from .e4_refinement import Noises
 from .judging import Bound, Claim, Control, own, paper
 from .lab import NAMES, Lab, ObservedLog
-from .printed import Case, Signals
-from .readings import Reading
 from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
 
 DURATION, CALM = 20.0, 5.0
@@ -42,7 +40,7 @@ def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
             log = stroked(lab, seed, rhythm, side)
             figures[f"{rhythm} {side} weight"] = float(np.mean([pair.weight for pair in log.features.synchrony]))
             logs = Noises(log, OWN_NOISE, beside(body), seed)
-            found = study(tried.all, logs.signals, lambda r, s: _cases(known, r, s))
+            found = study(tried.all, logs.signals, cases(known, ("p", "p+t")))
             for reading in tried.all:
                 key = readings.key(reading)
                 made = found[key].x["p+t"], found[key].x["p"]
@@ -53,10 +51,6 @@ def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
                 if key == tried.keys[0]:
                     courses[f"{rhythm} {side}"] = t, made[0] - made[1], moved
     return {"figures": figures | _together(figures, tried), "panels": _panels(courses)}
-
-
-def _cases(known: Explored, reading: Reading, log: Signals) -> dict[str, Case]:
-    return {name: case(known, reading, name, log.true[0]) for name in ("p", "p+t")}
 
 
 def final(t: Array, drift: Array) -> float:

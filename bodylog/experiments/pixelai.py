@@ -8,7 +8,7 @@ import numpy as np
 
 from ..sim.arms import ARMS
 from ..types import Array
-from .beliefs import Belief, ours
+from .beliefs import ours
 from .cases import case, explored, signals
 from .judging import Bound, Claim, comparison
 from .lab import JOINTS, Lab
@@ -60,8 +60,9 @@ def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
     made = believed(log, [case(known, IN_USE, "v", start) for start in starts.values()]).x
     late = log.t >= SETTLED
     errors = {("printed", *at): _degrees((x - log.true)[late]) for at, x in zip(starts, made, strict=True)}
-    errors |= {("ours", *at): _off(ours(observed, body, ("vision",), start=tuple(start.tolist()), rate=20.0))
-               for at, start in starts.items()}  # fmt: skip
+    for at, start in starts.items():
+        belief = ours(observed, body, ("vision",), start=tuple(start.tolist()), rate=20.0)
+        errors["ours", *at] = _degrees(belief.error(SETTLED))
     return {"figures": _figures(errors), "panels": []}
 
 
@@ -75,12 +76,8 @@ def _figures(errors: Mapping[tuple[str, str, int], Array]) -> dict[str, float]:
     return figures
 
 
-def _off(belief: Belief) -> Array:
-    """Mean absolute error (degrees) of each joint once settled."""
-    return _degrees(belief.error(SETTLED))
-
-
 def _degrees(error: Array) -> Array:
+    """Mean absolute error (degrees) of each joint."""
     return np.asarray(np.rad2deg(np.abs(error).mean(axis=0)))
 
 

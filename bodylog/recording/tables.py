@@ -49,10 +49,10 @@ def export_features(features: Features, folder: Path) -> tuple[Path, ...]:
         ("start", "end", "start_u", "start_v", "end_u", "end_v"),
         [(stroke.start, stroke.end, *stroke.start_px, *stroke.end_px) for stroke in features.strokes],
     )
-    if features.touches is not None:
+    if (touches := features.touches) is not None:
         tables["touches"] = _rows(
             ("onset", "offset", "peak", "strongest", "cells"),
-            [(one.onset, one.offset, one.peak, one.strongest, _joined(one.cells)) for one in features.touches],
+            [(one.onset, one.offset, one.peak, one.strongest, " ".join(map(str, one.cells))) for one in touches],
         )
         pairs = features.synchrony
         tables["synchrony"] = _rows(
@@ -80,10 +80,6 @@ def _rows(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, A
     for index, row in enumerate(rows):
         table[index] = row
     return dict(zip(names, table.T, strict=True))
-
-
-def _joined(cells: Sequence[int]) -> str:
-    return " ".join(map(str, cells))
 
 
 def _table(series: Series) -> dict[str, Array]:

@@ -17,7 +17,7 @@ from ...io.values import times
 from ..limits import LIMITS, Input
 from ..records import Array, Finding
 from ..tables.pose_columns import IMAGES, label, time_column
-from ..tables.table_file import SUFFIXES, Table, read
+from ..tables.table_file import SUFFIXES, read
 from ..topic_names import escape
 from . import video
 from .episode_log import EPOCH_NS, JOINT_STATE, JOINTS, Camera, Episode, EpisodeLog, Item, Signal, Texts
@@ -115,9 +115,8 @@ def _table(file: Path, folder: Path, findings: list[Finding]) -> Iterator[_Dated
     column, t = time_column(numbers)
     if column is None or not np.isfinite(t).all() or np.abs(t).max(initial=0) > 4e9:
         reason = "no column of times dates every row" if column is None else f"column {column} does not date every row"
-        findings.append(
-            Finding("warning", f"{where}: {reason}, so the table is not used; its columns are {_list(table)}")
-        )
+        text = f"{where}: {reason}, so the table is not used; its columns are {', '.join(table.names[:12])}"
+        findings.append(Finding("warning", text))
         return
     images = {_plain(name): files for name, files in table.texts.items() if _are_images(files)}
     joints = {name: values for name, values in numbers.items() if _is_joint(name, values)}
@@ -132,10 +131,6 @@ def _is_joint(name: str, values: Array) -> bool:
 def _plain(name: str) -> str:
     """A column's name without EuRoC's decoration: `#timestamp [ns]` is timestamp_ns."""
     return re.sub(r"\s*[\[(](\w+)[\])]$", r"_\1", name.lstrip("# "))
-
-
-def _list(table: Table) -> str:
-    return ", ".join(table.names[:12])
 
 
 def _are_images(files: Array) -> bool:

@@ -1,6 +1,6 @@
 """Features that a log offers: tags and colours, each with the share of its motion that the joints explain."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +65,8 @@ def survey(recording: Recording, hand: Colour, effector_uv: tuple[float, float] 
     if not t.size:
         raise LogError(f"{colour_proposals.why_none(recording)}; type: bodylog info LOG")
     ranges = [colour_proposals.around(hue) for hue in colour_proposals.peaks(image for _, image in picked())]
-    tags = _tags(image for index, (_, image) in enumerate(picked()) if index % max(1, -(-len(t) // _FEW)) == 0)
+    some = [image for index, (_, image) in enumerate(picked()) if index % max(1, -(-len(t) // _FEW)) == 0]
+    tags = [one.source for one in unknown.present(some)]
     shown = set(joint_motion.thinned(len(t), _SHOWN).tolist())
     found, seen, images, width = list[Array](), list[Array](), dict[int, Array](), 0
     for index, (_, image) in enumerate(picked()):
@@ -80,11 +81,6 @@ def survey(recording: Recording, hand: Colour, effector_uv: tuple[float, float] 
         *(_colour(one, np.stack(found)[:, k], t, recording, width, hand) for k, one in enumerate(ranges)),
     ]
     return Survey(tuple(sorted(judged, key=lambda one: _rank(one, effector_uv))), images, len(t))
-
-
-def _tags(images: Iterator[Array]) -> list[TagSource]:
-    """Tags of the common dictionaries in some images."""
-    return [one.source for one in unknown.present(list(images))]
 
 
 def _centres(image: Array, tags: list[TagSource]) -> Array:
