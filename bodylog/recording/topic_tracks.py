@@ -115,7 +115,7 @@ def _places(
         if not _is_numbers(columns_):
             rejected["no numbers"] += len(part.rows)
             continue
-        place = _one(np.stack([_flat(np.asarray(c), len(part.rows)) for c in columns_], axis=2), ends)
+        place = _one(np.stack([np.asarray(c, float).reshape(len(part.rows), -1) for c in columns_], axis=2), ends)
         if place is None:
             rejected["several places"] += len(part.rows)
             continue
@@ -128,10 +128,6 @@ def _places(
     order = np.argsort(np.concatenate(rows), kind="stable")
     whole = None if any(s is None for s in stamps) else np.concatenate([s for s in stamps if s is not None])[order]
     return np.concatenate(rows)[order], whole, np.concatenate(places)[order], dict(rejected)
-
-
-def _flat(column: Array, count: int) -> Array:
-    return column.reshape(count, -1).astype(float)
 
 
 def _one(matches: Array, ends: tuple[str, ...]) -> Array | None:

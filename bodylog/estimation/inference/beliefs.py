@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...linear_algebra import selected_inverse
 from ...types import Array
+from .banded import System
 from .interior import between, smoothed, smoothed_cov
-from .marginals import marginals
 from .solver import Solved
 
 
@@ -61,3 +62,14 @@ def _by_instant(solved: Solved) -> tuple[Array, Array, Array, Array]:
     total = forth.total - log.chain.slots.var + log.var
     error = knots.unfold(forth.innovation / np.sqrt(total))
     return knots.unfold(forth.nats), error, knots.unfold(forth.state)[:, :, -1], knots.unfold(forth.offset_var)
+
+
+def marginals(given: System) -> tuple[Array, Array]:
+    """Smoothed covariances (B,K,K) of the knots, and (B−1,K,K) of each with the next."""
+    k, knots = given.pull.shape
+    s, m = given.shape
+    upper = np.zeros((knots - 1, k, k))
+    for j in range(m):
+        own = slice(j * s, j * s + s)
+        upper[:, own, own] = np.moveaxis(given.ahead.across[:, :, j], -1, 0)
+    return selected_inverse(np.ascontiguousarray(np.moveaxis(given.own, -1, 0)), upper)

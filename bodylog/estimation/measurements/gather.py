@@ -77,7 +77,8 @@ def _encoders(
     values = joints.values[:, columns(joints, names)].astype(float)
     # rows that hold only joints of other topics are no readings of these
     ours = np.isfinite(values).any(axis=1) | ~np.isfinite(joints.values).any(axis=1)
-    joints, values = _rows(joints, ours), values[ours]
+    joints = replace(joints, t=joints.t[ours], values=joints.values[ours], source_ns=joints.source_ns[ours])
+    values = values[ours]
     silent = [index for index, name in enumerate(names) if name not in wanted]
     rising = ascending(joints.t)
     broken = ~np.isfinite(values).any(axis=1)
@@ -90,11 +91,6 @@ def _encoders(
     use = int(np.isfinite(values[keep]).any(axis=1).sum())
     used = {"encoders": Health(len(joints.t), use, {k: v for k, v in reasons.items() if v}, gap(joints.t[keep]))}
     return Encoders(joints.t[keep], values[keep], joints.source_ns[keep]), used
-
-
-def _rows(series: Series, chosen: Array) -> Series:
-    """Some rows of a signal."""
-    return replace(series, t=series.t[chosen], values=series.values[chosen], source_ns=series.source_ns[chosen])
 
 
 def camera(track: str) -> str:

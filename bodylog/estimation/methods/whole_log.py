@@ -1,5 +1,6 @@
 """Filter and smoother of a log whose encoders are never silent: one banded solve, with noise by evidence."""
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,36 @@ from ..inference.beliefs import Instants, given_all, given_past
 from ..inference.motion_model import MotionModel
 from ..inference.problem import Problem
 from ..inference.solver import solve
+from ..measurements.records import Encoders
+from ..noise.encoder_noise import FEWEST, Learned, floor, learn
 from ..noise.noise_model import NoiseModel
-from ..noise.own_noise import OwnNoise, own_noise
 from . import results
 from .results import Beliefs
+
+
+@dataclass(frozen=True, eq=False)
+class OwnNoise:
+    """Learned for motion of order 2 and of order 3; None if readings are too few."""
+
+    acceleration: Learned
+    jerk: Learned | None
+
+    @property
+    def preferred(self) -> Learned:
+        """The motion with the greater evidence."""
+        if self.jerk is None or self.jerk.evidence < self.acceleration.evidence:
+            return self.acceleration
+        return self.jerk
+
+
+def own_noise(encoders: Encoders, white: Learned, encoder: Array) -> OwnNoise:
+    """Learn from the log; noise under `white` acceleration is known; `encoder` (M,) rad²: for silent joints."""
+    white = replace(white, process=np.maximum(white.process, floor(encoders.t, white.encoder, 2)))
+    counts = np.isfinite(encoders.values).sum(axis=0)
+    if ((counts > 0) & (counts <= FEWEST)).any():
+        return OwnNoise(white, None)
+    smooth = learn(encoders, encoder, np.zeros(len(counts)), 3)
+    return OwnNoise(white, replace(smooth, process=np.maximum(smooth.process, floor(encoders.t, smooth.encoder, 3))))
 
 
 def possible(problem: Problem, settings: Estimation) -> bool:
