@@ -8,12 +8,12 @@ import pytest
 from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation.inference.filter_records import Dynamics
 from bodylog.estimation.inference.instant import Motion, hear
-from bodylog.estimation.measurements.tag_pose import PoseModel, TagPose, solved, unambiguous
 from bodylog.estimation.noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame
 from bodylog.kinematics.camera import lens, project
 from bodylog.kinematics.rotations import exponential
 from bodylog.types import Features, Series
 from tests.estimation.conftest import JOINTS, motion
+from tests.estimation.tag_pose import PoseModel, TagPose, solved, unambiguous
 
 LENS = lens(600.0, 640.0, 480.0)
 SIZE = 0.08

@@ -72,7 +72,6 @@ class Episode:
     streams: Sequence[Signal | Texts | Camera]
     findings: Sequence[Finding] = ()
     length: int | None = None
-    videos: Mapping[str, Array] = field(default_factory=dict)
 
 
 class EpisodeLog:

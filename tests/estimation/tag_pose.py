@@ -1,4 +1,4 @@
-"""A tag's pose in the camera as six rows, position (m) and rotation vector (rad), from its corners and size.
+"""A sense of six rows in one file: a tag's pose in the camera (m and rotation vector, rad), from its corners and size.
 
 Four corners u (8,) of a tag of known size give the pose p that projects onto them, by Gauss–Newton; with A = ∂u/∂p and
 A⁺ its pseudo-inverse weighted by W = Σᵤ⁻¹, the pose has covariance (AᵀWA)⁻¹, with correlated rows. A body that predicts
@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...body_model import BodyModel, ForwardModel
-from ...kinematics.camera import project
-from ...kinematics.rotations import exponential, left_jacobian, logarithm, nearest, skew
-from ...types import Array, Features, Health, Series
-from .contract import Measured
-from .records import Sighting
+from bodylog.body_model import BodyModel, ForwardModel
+from bodylog.estimation.measurements.contract import Measured
+from bodylog.estimation.measurements.records import Sighting
+from bodylog.kinematics.camera import project
+from bodylog.kinematics.rotations import exponential, left_jacobian, logarithm, nearest, skew
+from bodylog.types import Array, Features, Health, Series
 
 ROWS = ("x", "y", "z", "rx", "ry", "rz")
 """m, and rad."""
