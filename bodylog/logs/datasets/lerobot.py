@@ -92,12 +92,11 @@ def _episode(known: Layout, number: int, findings: list[Finding], limits: Input)
     for name in wanted:
         streams += _signal(name, known, found.get(name), _stamps(stamps, name, ns), findings)
     streams += _tasks(known, found, ns)
-    videos: dict[str, Array] = {}
     for name, about in known.features.items():
         if about.get("dtype") in ("video", "image"):
-            streams += _camera(name, known, number, _stamps(stamps, name, ns), where, videos, findings, limits)
+            streams += _camera(name, known, number, _stamps(stamps, name, ns), where, findings, limits)
     length = known.rows[number].get("length")
-    return Episode(f"lerobot {known.version}", streams, findings, length if isinstance(length, int) else None, videos)
+    return Episode(f"lerobot {known.version}", streams, findings, length if isinstance(length, int) else None)
 
 
 def _times(
@@ -180,8 +179,8 @@ def _tasks(known: Layout, found: Mapping[str, Array | None], ns: Array) -> Itera
 
 
 def _camera(
-    name: str, known: Layout, number: int, ns: Array, where: Sequence[tuple[int, int]], videos: dict[str, Array],
-    findings: list[Finding], limits: Input,
+    name: str, known: Layout, number: int, ns: Array, where: Sequence[tuple[int, int]], findings: list[Finding],
+    limits: Input,
 ) -> Iterator[Camera]:  # fmt: skip
     about = known.features[name]
     topic, metadata = f"/{escape(name.removeprefix('observation.images.').replace('.', '/'))}", {FEATURE: name}
@@ -203,7 +202,6 @@ def _camera(
         return
     first, last = _within(film, part.start, part.end, known.fps)
     t = film.t[first:last] - (film.t[first] if last > first else 0.0)
-    videos[name] = t
     times, more = _dated(name, t, ns, known.fps)
     findings += more
     reader: Callable[[], Iterator[Item]] = partial(_of_video, film, first, last)
