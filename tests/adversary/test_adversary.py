@@ -45,6 +45,8 @@ def test_commands_read_or_refuse_hostile_input_in_one_line(base, tmp_path):
         203001702,  # weights of 1e19: delays from a singular covariance
         302000356,  # angles of 1e8 rad: a kernel of rounding errors
         412000000001533,  # an image whose encoding is half a surrogate pair
+        511000000000281,  # a number of 400 digits in JSON
+        512000000000378,  # no digits, and then 400
         71000041,  # a count of messages of 401 digits
     ],
 )

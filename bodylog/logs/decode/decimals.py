@@ -80,7 +80,7 @@ def _read(content: bytes, starts: Array, ends: Array) -> _Decimals:
     count = last - np.where(pointed, point + 1, first)
     lead, good = _eight(words, point, before)
     tail, fine = _tail(words, last, count)
-    sure &= good & fine & (before <= 8) & (last >= 24) & (lead * 10.0**count < _LARGEST)
+    sure &= good & fine & (before <= 8) & (last >= 24) & (lead * 10.0 ** np.minimum(count, 24) < _LARGEST)
     sure &= (letters[first] != ord("0")) | (np.where(pointed, before, count) == 1)
     mantissa = np.where(sure, lead * _TENS[np.clip(count, 0, 18)] + tail, 0)
     scale, whole = np.where(pointed, count, 0) - exponent, ~pointed & (last == ends)
