@@ -159,7 +159,7 @@ class Recording:
     `views` {name: frames} are the cameras beside the first; what they show is named name/feature. `reference` is
     what robot.toml names as the true angles to learn from; `truth` is for scores alone. `settings` are those it was
     read with. `consumed` are the first camera's frames, if a consumer got them during reading. `poses`: the
-    joints are still poses, each by itself. `beside`: joints of further topics that nobody named.
+    joints are still poses, one independent of the other. `beside`: joints of further topics that nobody named.
     `truth_pose`: the effector's true poses, for scores alone.
     `tracks` and `track_health` {feature: …} are those of [features] that topics or tables have.
     """

@@ -95,7 +95,7 @@ def test_error_bars_hold_while_no_encoder_speaks(world, method):
 
 @pytest.mark.soak
 @pytest.mark.parametrize("silence", [1.0, 2.0, 5.0])
-def test_error_bars_hold_in_silences_on_average(world, silence):
+def test_error_bars_hold_while_encoders_are_silent(world, silence):
     rmse, nees, within = np.transpose([silent(world, seed, silence, "laplace") for seed in range(20)])
     # one posture in twenty passes for another for a while
     assert np.sqrt(np.mean(rmse**2)) < 0.05 * silence and 0.2 < np.median(nees) < 1.2 and np.mean(within) > 0.9
