@@ -8,7 +8,7 @@ import numpy as np
 from ..body_model import BodyModel
 from ..types import Array, Features, Synchrony
 from . import readings
-from .drawn import SIZE, px_per_cm
+from .drawn import ARM, PIXEL_STD, SIZE, place, px_per_cm
 from .lab import JOINTS, ObservedLog
 from .printed import DT, Case, Map, Signals, Touching, believed
 from .readings import Reading
@@ -71,6 +71,14 @@ def explored(body: BodyModel) -> Explored:
     model = body.senses["effector"]
     assert isinstance(model, GP)
     return Explored(model.samples, model.targets, {})
+
+
+def drawn_samples(seed: int, moving: tuple[bool, bool, bool] = (True, True, True), count: int = 46) -> Explored:
+    """An exploration without a recording, for the notebooks: `count` drawn postures, noiseless encoders, places."""
+    rng = np.random.default_rng([seed, 23])
+    x = np.array(ARM.home[:3]) + np.array(ARM.swing[:3]) * moving * rng.uniform(-1.0, 1.0, (count, 3))
+    seen = place(x) + PIXEL_STD * rng.standard_normal((count, 2))
+    return Explored(x + 0.003 * rng.standard_normal(x.shape), seen, {})
 
 
 def case(
