@@ -50,7 +50,7 @@ def state(draw, count):
     stamp = {"sec": draw.randrange(10**10), "nanosec": draw.randrange(10**9)}
     deep = [{"id": draw.randrange(4), "name": draw.choice(["a1", "a2", "b"]), "x": number(draw)} for _ in range(2)]
     return {
-        "header": {"stamp": stamp, "frame_id": draw.choice(["base", "tool-1e-5", 'é\\ "7"', "12", "2"])},
+        "header": {"stamp": stamp, "frame_id": draw.choice(["base", "tool-1e-5", 'é\\ "7"', "12", "2", "2/1e+5", "+"])},
         "name": ["j_1", "j_2"],
         "position": [number(draw) for _ in range(count)],
         "on": draw.random() < 0.5,
@@ -93,6 +93,25 @@ def test_json_decoder_rejects_invalid_numbers(written, monkeypatch):
 def test_json_decoder_ignores_digits_in_texts(monkeypatch):
     some = [b'{"s": "12", "x": 5, "t": ""}', b'{"s": "", "x": 5, "t": "12"}'] * 20
     assert_the_same(some, JSON, ("x", "s", "t"), monkeypatch)
+
+
+@pytest.mark.parametrize("text", [r"a\/1", "1/2", "/12", "1e+2", "e+12", "+", "1e/2"])
+def test_json_decoder_reads_slashes_and_signs_in_texts(text, monkeypatch):
+    sound = [f'{{"x": {x}, "t": "{text}"}}'.encode() for x in ("15.5", "-1e+05", "2.5e-07")] * 6
+    assert_the_same(sound, JSON, ("x", "t"), monkeypatch, least=18)
+    odd = [f'{{"x": {x}, "t": "{text}"}}'.encode() for x in ("1/5", "+15", "1+5", "1/e+5")] * 6
+    assert_the_same([*sound, *odd], JSON, ("x",), monkeypatch)
+
+
+def test_json_decoder_rejects_two_numbers_without_a_comma(monkeypatch):
+    many = ", ".join(str(k) for k in range(30))
+    assert_the_same([f'{{"q": [0, 1-2, 3], "r": [{many}]}}'.encode()] * 6, JSON, ("q",), monkeypatch)
+
+
+def test_json_decoder_rejects_digits_around_messages(monkeypatch):
+    for odd in (b"15", b'{"x": 15}1', b'1{"x": 15}'):
+        assert_the_same([*[b'{"x": 15}'] * 6, odd, *[b'{"x": 15}'] * 6], JSON, ("x",), monkeypatch)
+        assert_the_same([odd] * 6, JSON, ("x",), monkeypatch)
 
 
 def test_json_decoder_handles_forbidden_bytes(monkeypatch):

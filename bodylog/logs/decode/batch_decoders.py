@@ -7,7 +7,7 @@ import numpy as np
 
 from ...errors import FormatError
 from ..records import Array, Batch, Topic
-from .json_layouts import JsonLayout, marked, skeleton
+from .json_layouts import JsonLayout, mark_runs, skeleton
 from .message_path import Step
 from .protobuf import root_of
 from .protobuf_layouts import ProtobufLayout
@@ -39,56 +39,62 @@ class JsonBatchDecoder:
         """Decode the messages that share a layout."""
         if len(batch.offset) <= _FEW:
             return
-        joined, begin, between = _joined(batch)
-        content = marked(joined)
-        if not content:
+        content, begin, between = _joined(batch)
+        runs = mark_runs(content)
+        if runs is None:
             return
-        size = batch.length
-        key = skeleton(content[: size[0]])
-        if skeleton(content) + between == (key + between) * len(begin):
-            yield from self._read(key, np.arange(len(begin)), content, begin)
+        end = begin + batch.length
+        key = skeleton(content[: end[0]])
+        if len(runs) % len(begin) == 0 and skeleton(content) + between == (key + between) * len(begin):
+            yield from self._read(key, np.arange(len(begin)), content, (begin, end), runs.reshape(len(begin), -1))
             return
         groups: dict[bytes, list[int]] = {}
-        payloads = [content[a:b] for a, b in zip(begin.tolist(), (begin + size).tolist(), strict=True)]
-        for index, payload in enumerate(payloads):
-            groups.setdefault(skeleton(payload), []).append(index)
+        for index, (low, high) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
+            groups.setdefault(skeleton(content[low:high]), []).append(index)
+        first, last = np.searchsorted(runs, begin), np.searchsorted(runs, end)
         for key, some in groups.items():
-            if len(some) > _FEW:
-                rows = np.array(some)
-                start = np.cumsum(size[rows]) - size[rows]
-                yield from self._read(key, rows, b"".join([payloads[one] for one in some]), start)
+            rows = np.array(some)
+            count = last[rows] - first[rows]
+            if len(some) > _FEW and (count == count[0]).all():
+                own = runs[first[rows, None] + np.arange(count[0])]
+                yield from self._read(key, rows, content, (begin[rows], end[rows]), own)
 
-    def _read(self, key: bytes, index: Array, content: bytes, begin: Array) -> Found:
-        """Decode the messages `index` (m,) of a skeleton, which begin at bytes `begin` (m,), if their layouts agree."""
-        layout = self._layout(key, content[: begin[1]].rstrip(_BETWEEN))
-        values = layout.values(content, begin, self._single) if layout else None
+    def _read(self, key: bytes, index: Array, content: bytearray, span: tuple[Array, Array], runs: Array) -> Found:
+        """Decode the messages `index` (m,) of a skeleton if their layouts agree.
+
+        They extend over the bytes `span` (m,), (m,) of `content`, their runs are `runs` (m,2R).
+        """
+        begin, end = span
+        layout = self._layout(key, content[begin[0] : end[0]], runs[0] - begin[0])
+        values = layout.values(content, begin, runs, self._single) if layout else None
         if values is not None:
             yield index, values
 
-    def _layout(self, key: bytes, payload: bytes) -> JsonLayout | None:
+    def _layout(self, key: bytes, payload: bytearray, runs: Array) -> JsonLayout | None:
         if key not in self._known and len(self._known) < _MOST_LAYOUTS:
             try:
                 from .object_values import follow
 
-                self._known[key] = JsonLayout(payload, self._paths, follow)
+                self._known[key] = JsonLayout(bytes(payload), runs, self._paths, follow)
             except _UNLIKE:
                 self._known[key] = None
         return self._known.get(key)
 
 
-def _joined(batch: Batch) -> tuple[Array, Array, bytes]:
-    """All payloads concatenated (bytes,) uint8, where each begins (n,), and the separator between two of them."""
+def _joined(batch: Batch) -> tuple[bytearray, Array, bytes]:
+    """All payloads concatenated, where each begins (n,), and the separator between two of them."""
     ends = batch.offset + batch.length
     gaps = batch.offset[1:] - ends[:-1]
     gap = int(gaps[0])
     if (gaps == gap).all() and 0 <= gap <= _WIDEST_GAP:  # in place, with the message heads between them overwritten
         low = int(batch.offset[0])
-        content = np.array(batch.data[low : int(ends[-1])])
-        content[(ends[:-1] - low)[:, None] + np.arange(gap)] = _BETWEEN[0]
+        content = bytearray(batch.data[low : int(ends[-1])])
+        if gap:
+            np.ndarray(len(content) - gap, f"V{gap}", content, strides=(1,))[ends[:-1] - low] = np.void(_BETWEEN * gap)
         return content, batch.offset - low, _BETWEEN * gap
     data = batch.data.data
     pieces = [data[a:b] for a, b in zip(batch.offset.tolist(), ends.tolist(), strict=True)]
-    return np.frombuffer(bytearray().join(pieces), np.uint8), np.cumsum(batch.length) - batch.length, b""
+    return bytearray().join(pieces), np.cumsum(batch.length) - batch.length, b""
 
 
 class ProtobufBatchDecoder:

@@ -43,7 +43,7 @@ class _Decimals(NamedTuple):
     sure: Array
 
 
-def numbers(content: bytes, starts: Array, ends: Array) -> Array | None:
+def numbers(content: bytes | bytearray, starts: Array, ends: Array) -> Array | None:
     """The marked numbers (N,) from bytes `starts` (N,) to `ends` (N,), int64 if all are whole, else float64.
 
     None if one is no JSON number or exceeds 64 bits.
@@ -63,7 +63,7 @@ def numbers(content: bytes, starts: Array, ends: Array) -> Array | None:
     return values
 
 
-def _read(content: bytes, starts: Array, ends: Array) -> _Decimals:
+def _read(content: bytes | bytearray, starts: Array, ends: Array) -> _Decimals:
     """Mantissas and scales; of numbers with other than 1 to 24 digits after the point some are not sure."""
     letters, words = np.frombuffer(content, np.uint8), np.ndarray(len(content) - 7, "<u8", content, strides=(1,))
     minus = letters[starts] == ord("-")
@@ -144,7 +144,7 @@ def _quotients(read: _Decimals) -> tuple[Array, Array]:
     return np.where(read.minus, -value, value), quotient + (rest - margin) == quotient + (rest + margin)
 
 
-def _one_by_one(content: bytes, starts: Array, ends: Array) -> Array | None:
+def _one_by_one(content: bytes | bytearray, starts: Array, ends: Array) -> Array | None:
     """The numbers as `json` reads them, int64 or float64; None if it does not or one exceeds 64 bits."""
     text = b",".join([content[a:b] for a, b in zip(starts.tolist(), ends.tolist(), strict=True)])
     try:

@@ -3,7 +3,6 @@
 Numbers that are not requested are not parsed.
 """
 
-import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -19,41 +18,64 @@ from .message_path import Step
 from .object_places import Item, Place, column, items, text
 
 _TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"(\s*:)?|-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?', re.S)
+_FIRST, _LAST = ord("-"), ord("9")
+"""The bytes between them are number characters: the point, the digits, and the slash, so that two comparisons do."""
+
 _SMALL = 0x20
 """The bit by which a lower-case letter differs from its capital."""
 
-_IN_NUMBERS = b"0123456789+-." + POWER
+_IN_NUMBERS = bytes([ord("+"), *range(_FIRST, _LAST + 1)]) + POWER
 Follow = Callable[..., Iterator[Item]]
 
 
-def marked(content: Array) -> bytes:
-    """Payloads (bytes,) uint8 with the e of signed exponents marked, as writers emit them.
+def mark_runs(content: bytearray) -> Array | None:
+    """Where runs of number characters begin and end in payloads, alternating (2n,) int64.
 
-    Empty if the mark already occurs, which no JSON contains. Changes `content`.
+    The e of signed exponents, as writers emit them, is marked in `content` and belongs to its run. None if the content
+    begins or ends with a run, or if the mark already occurs, which no JSON contains.
     """
-    if (content == POWER[0]).any():
-        return b""
-    letters = np.flatnonzero((content[:-1] | _SMALL) == ord("e"))
-    following = content[letters + 1]
-    content[letters[(following == ord("-")) | (following == ord("+"))]] = POWER[0]
-    return content.tobytes()
+    found = np.frombuffer(content, np.uint8)
+    if found.min(initial=POWER[0] + 1) <= POWER[0]:
+        return None
+    inside = (found - _FIRST) <= _LAST - _FIRST
+    if b"+" in content:
+        inside |= found == ord("+")
+    if not len(found) or inside[0] or inside[-1]:
+        return None
+    edges = np.flatnonzero(inside[1:] != inside[:-1])
+    edges += 1
+    return _joined_at_exponents(found, edges)
 
 
-def skeleton(payload: bytes) -> bytes:
+def _joined_at_exponents(content: Array, edges: Array) -> Array:
+    """The edges of runs with those apart joined that only the e of an exponent separates; marks it."""
+    apart = np.flatnonzero(edges[2::2] - edges[1:-1:2] == 1)
+    at = edges[2 * apart + 1]
+    sign = content[at + 1]
+    power = ((content[at] | _SMALL) == ord("e")) & ((sign == ord("-")) | (sign == ord("+")))
+    if not power.any():
+        return edges
+    content[at[power]] = POWER[0]
+    kept = np.ones(len(edges), bool)
+    kept[2 * apart[power] + 1] = kept[2 * apart[power] + 2] = False
+    return edges[kept]
+
+
+def skeleton(payload: bytearray) -> bytes:
     """A marked payload without its numbers."""
-    return payload.translate(None, _IN_NUMBERS)
+    return bytes(payload.translate(None, _IN_NUMBERS))
 
 
 class JsonLayout:
     """The layout of one message and of all with the same skeleton."""
 
-    def __init__(self, payload: bytes, paths: Sequence[tuple[Step, ...]], follow: Follow) -> None:
-        """For a marked payload; FormatError, KeyError or ValueError when a path cannot be followed by position."""
-        if b"\0" in payload:
-            raise FormatError("UTF-16, where places are not between ASCII bytes")
-        runs = _runs(payload)
+    def __init__(self, payload: bytes, runs: Array, paths: Sequence[tuple[Step, ...]], follow: Follow) -> None:
+        """For a marked payload and its runs (2R,).
+
+        FormatError, KeyError or ValueError when a path cannot be followed by position.
+        """
         self._at, self._lengths = runs[0::2], runs[1::2] - runs[0::2]
-        self._ranks = self._at - (np.cumsum(self._lengths) - self._lengths)
+        self._gaps = np.diff(runs, prepend=0)[0::2]
         self._pinned: list[tuple[int, int]] = []
         self._payload = payload
         value = self._shadow()
@@ -61,17 +83,17 @@ class JsonLayout:
         self._constant = self._constants()
 
     def values(
-        self, content: bytes, begin: Array, single: Sequence[int | None]
+        self, content: bytearray, begin: Array, runs: Array, single: Sequence[int | None]
     ) -> list[Array | tuple[str, ...]] | None:
-        """The paths' values in marked payloads of this skeleton that begin at the bytes `begin` (n,) of `content`.
+        """The paths' values in marked payloads of this skeleton: they begin at the bytes `begin` (n,) of `content`.
 
-        None if one of them differs in more than numbers.
+        `runs`: their runs (n,2R). None if one of them differs in more than numbers.
         """
-        count, runs = len(begin), _runs(content)
-        if len(runs) != 2 * count * len(self._at):
+        count = len(begin)
+        if runs.shape[1] != 2 * len(self._at):
             return None
-        starts, ends = np.moveaxis(runs.reshape(count, len(self._at), 2), 2, 0)
-        if not self._fits(np.frombuffer(content, np.uint8), begin, starts, ends - starts):
+        starts, ends = runs[:, 0::2], runs[:, 1::2]
+        if not self._fits(np.frombuffer(content, np.uint8), begin, starts, ends):
             return None
 
         def at(places: Sequence[Place]) -> Array | None:
@@ -92,7 +114,7 @@ class JsonLayout:
         for match in _TOKEN.finditer(payload):
             if match[1] is None:
                 values.append((match.start(), match.end(), read_json(match[0])))
-                form = b'"%d"' if match[0][:1] == b'"' else b"%d"
+                form = b'"%d"' if match[0][:1] == b'"' else b" %d "  # apart, as 1-2 is not 12
                 out += [payload[last : match.start()], form % (len(values) - 1)]
                 last = match.end()
         shadow = read_json(b"".join([*out, payload[last:]]))
@@ -115,8 +137,6 @@ class JsonLayout:
             if run == len(self._at) or self._at[run] != at or self._lengths[run] != end - at:
                 raise FormatError("an exponent without a sign, or no number")
             return Place(known, run, run + 1, 0, self._pinned)
-        if isinstance(value, float) and math.isfinite(value):
-            raise FormatError("no number, as something follows it")
         return value
 
     def _constants(self) -> list[int]:
@@ -126,30 +146,22 @@ class JsonLayout:
         escaped = [run for run, at in enumerate(self._at.tolist()) if b"\\" in self._payload[max(0, at - 5) : at]]
         return sorted({run for low, high in (*self._pinned, *keys) for run in range(low, high)} | set(escaped))
 
-    def _fits(self, content: Array, begin: Array, starts: Array, lengths: Array) -> bool:
+    def _fits(self, content: Array, begin: Array, starts: Array, ends: Array) -> bool:
         """Whether numbers are at the same positions between the same bytes, and constants are equal."""
-        before = np.cumsum(lengths, axis=1) - lengths
-        if (starts - begin[:, None] - before != self._ranks).any():
+        if (starts[:, :1] - begin[:, None] != self._gaps[:1]).any():
+            return False
+        if (starts[:, 1:] - ends[:, :-1] != self._gaps[1:]).any():
             return False
         for run in self._constant:
             length, at = int(self._lengths[run]), int(self._at[run])
             same = np.frombuffer(self._payload, np.uint8, length, at)
-            if (lengths[:, run] != length).any() or (content[starts[:, run, None] + np.arange(length)] != same).any():
+            if (ends[:, run] - starts[:, run] != length).any():
+                return False
+            if (content[starts[:, run, None] + np.arange(length)] != same).any():
                 return False
         return True
 
-    def _numbers(self, content: bytes, starts: Array, ends: Array, runs: Sequence[int]) -> Array | None:
+    def _numbers(self, content: bytearray, starts: Array, ends: Array, runs: Sequence[int]) -> Array | None:
         """The numbers (n,K) in runs."""
         found = numbers(content, starts[:, runs].ravel(), ends[:, runs].ravel())
         return None if found is None else found.reshape(len(starts), len(runs))
-
-
-def _runs(content: bytes) -> Array:
-    """Where runs of number characters begin and end, alternating (2n,); none may touch the ends."""
-    found = np.frombuffer(content, np.uint8)
-    # Comparing bytes is faster than a lookup table: from - to 9 are the point, the slash and the digits.
-    inside = ((found - ord("-")) <= ord("9") - ord("-")) & (found != ord("/"))
-    inside |= (found == ord("+")) | (found == POWER[0])
-    if not len(content) or inside[0] or inside[-1]:
-        raise FormatError("it begins or ends with a number")
-    return np.flatnonzero(inside[1:] != inside[:-1]) + 1
