@@ -1,4 +1,4 @@
-"""The selected inverse of a block-tridiagonal matrix: its blocks on and beside the diagonal, in linear time."""
+"""The selected inverse of a block-tridiagonal matrix, in linear time, and forward substitution."""
 
 import numpy as np
 
@@ -35,3 +35,17 @@ def _restored(kept: Array, between: Array, odd: Array, left: Array, right: Array
     diagonal[1::2] = odd - np.matmul(before.transpose(0, 2, 1), left)
     diagonal[1 : 2 * inner : 2] -= np.matmul(after, right.transpose(0, 2, 1))
     return diagonal, upper
+
+
+SMALL = 64
+"""Rows of a triangular matrix that LAPACK's general solver may take; from 20 to 100 cost the same."""
+
+
+def forward_substituted(lower: Array, right: Array) -> Array:
+    """L⁻¹ B (N,R) for a lower triangular L (N,N) and B (N,R), by halves: NumPy alone has a solver for full matrices."""
+    half = len(lower) // 2
+    if len(lower) <= SMALL:
+        return np.linalg.solve(lower, right)
+    above = forward_substituted(lower[:half, :half], right[:half])
+    below = forward_substituted(lower[half:, half:], right[half:] - lower[half:, :half] @ above)
+    return np.concatenate([above, below])

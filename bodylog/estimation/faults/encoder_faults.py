@@ -70,7 +70,7 @@ def _kind_of_repeat(y: Array, begin: int) -> tuple[str, int]:
 def wrap_findings(encoders: Encoders, names: tuple[str, ...]) -> Iterator[Finding]:
     """Yield a remark for each encoder that wraps at a whole turn and is unwrapped."""
     for name, column in zip(names, encoders.values.T, strict=True):
-        apart = np.abs(unwrapped(column) - column) > 1.0
-        if apart.any():
+        whole = unwrapped(column)
+        if whole is not column and (apart := np.abs(whole - column) > 1.0).any():
             at = float(encoders.t[int(apart.argmax())])
             yield Finding("info", f"encoders: {name} wraps by a whole turn at {at:.3f} s; its angle is unwrapped")

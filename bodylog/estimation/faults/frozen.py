@@ -29,8 +29,10 @@ def frozen(t: Array, y: Array) -> list[tuple[int, int]]:
 
 def repeats(t: Array, y: Array) -> list[tuple[int, int]]:
     """Return long stretches [begin, end) of bitwise equal readings y (N,) at t (N,) s, the first one included."""
-    same = np.concatenate([[False], np.diff(y) == 0.0, [False]])
-    edges = np.diff(same.astype(np.int8))
+    same = np.diff(y) == 0.0
+    if np.count_nonzero(same) < FEWEST - 1:
+        return []
+    edges = np.diff(same.astype(np.int8), prepend=0, append=0)
     runs = zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) + 1, strict=True)
     return [(int(a), int(b)) for a, b in runs if t[b - 1] - t[a] > FROZEN and b - a >= FEWEST]
 

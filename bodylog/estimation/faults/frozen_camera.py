@@ -7,6 +7,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Fault
+from ..measurements.long_arrays import any_of_row, median, seen
 from ..measurements.records import Encoders, Evidence, Sighting
 from .contract import Verdict
 
@@ -25,7 +26,7 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
     for sighting in evidence.sightings:
         values, found = _moving(sighting, evidence.encoders) if sighting.name != "touch" else (sighting.values, [])
         if found:
-            health, left = used[sighting.name], int(np.isfinite(values).all(axis=1).sum())
+            health, left = used[sighting.name], int(seen(values).sum())
             rejected = {**health.rejected, "frozen": health.used - left}
             used[sighting.name] = replace(health, used=left, rejected=rejected)
         sightings.append(replace(sighting, values=values))
@@ -35,13 +36,13 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
 
 def _moving(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]:
     """Return positions (N,D) with false repeats as NaN, the first of each stretch kept, and the faults."""
-    seen = np.flatnonzero(np.isfinite(sighting.values).all(axis=1))
+    shown = np.flatnonzero(seen(sighting.values))
     values, found = sighting.values.copy(), []
-    for begin, end in _repeats(sighting.t[seen], sighting.values[seen]):
-        rows = seen[begin:end]
-        if moved := _moved(sighting, encoders, sighting.t[rows[0]], sighting.t[rows[-1]]):
-            values[rows[1:]] = np.nan
-            found.append(Fault("vision", sighting.name, "frozen", float(sighting.t[rows[1]]), moved, "px"))
+    for begin, end in _repeats(sighting.t[shown], sighting.values[shown]):
+        own = shown[begin:end]
+        if moved := _moved(sighting, encoders, sighting.t[own[0]], sighting.t[own[-1]]):
+            values[own[1:]] = np.nan
+            found.append(Fault("vision", sighting.name, "frozen", float(sighting.t[own[1]]), moved, "px"))
     return values, found
 
 
@@ -49,9 +50,10 @@ def _repeats(t: Array, places: Array) -> Sequence[tuple[int, int]]:
     """Return long stretches [begin, end) of bitwise equal positions (N,D)."""
     if len(t) < FRAMES:
         return ()
-    new = np.flatnonzero(np.append(True, (np.diff(places, axis=0) != 0.0).any(axis=1)))
-    runs = zip(new, np.append(new[1:], len(t)), strict=True)
-    return [(int(a), int(b)) for a, b in runs if b - a >= FRAMES and t[b - 1] - t[a] > LASTING]
+    new = np.flatnonzero(np.append(True, any_of_row(np.diff(places, axis=0) != 0.0)))
+    end = np.append(new[1:], len(t))
+    long = (end - new >= FRAMES) & (t[end - 1] - t[new] > LASTING)
+    return list(zip(new[long].tolist(), end[long].tolist(), strict=True))
 
 
 def _moved(sighting: Sighting, encoders: Encoders, begin: float, end: float) -> float:
@@ -86,7 +88,7 @@ def _averaged(t: Array, values: Array, edges: Array) -> tuple[Array, Array] | No
         if counts.min() < 2:
             return None
         means[:, j] = np.bincount(part[there], column[there], len(means)) / counts
-        scatter = 1.4826 * np.median(np.abs(np.diff(column[there]))) / np.sqrt(2.0)
+        scatter = 1.4826 * median(np.abs(np.diff(column[there]))) / np.sqrt(2.0)
         std[j] = scatter / np.sqrt(counts.min())
     return means, std
 

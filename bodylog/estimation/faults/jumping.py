@@ -3,6 +3,7 @@
 import numpy as np
 
 from ...types import Array
+from ..measurements.long_arrays import median, median_step, rows
 
 JUMP, LEAST = 12.0, 0.01
 """Smallest jump in standard deviations of the readings' steps, and in rad."""
@@ -20,28 +21,30 @@ TURN, BESIDE = 2.0 * np.pi, 0.5
 
 def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
     """Return first index after each lasting shift in level of y (N,) rad at t (N,) s, and its size (rad)."""
-    known = np.flatnonzero(np.isfinite(y))
-    v, found = y[known], []
+    known = rows(np.isfinite(y))
+    v, when, found = y[known], t[known], []
     if len(v) < 4 * LEVEL:
         return []
-    steps, waits = np.diff(v), np.diff(t[known])
+    steps, usual = np.diff(v), median_step(when)
     bound = max(JUMP * _scatter(steps), LEAST)
-    usual = float(np.median(waits))
     # from rest to rest in a time h takes 4 s/h²
-    bound = max(bound, FASTEST * max(usual, _hold_time(steps, t[known])) ** 2 / 4.0)
-    for k in np.flatnonzero((np.abs(steps) > bound) & (waits < PAUSE * usual)):
+    bound = max(bound, FASTEST * max(usual, _hold_time(steps, when)) ** 2 / 4.0)
+    far = np.flatnonzero(np.abs(steps) > bound)
+    for k in far[when[far + 1] - when[far] < PAUSE * usual]:
         before, after = v[max(0, k + 1 - LEVEL) : k + 1], v[k + 1 : k + 1 + LEVEL]
         if len(before) < LEVEL or len(after) < LEVEL:
             continue
         size = _level(after[::-1]) - _level(before)
         apart = max(float(np.abs(np.diff(before)).max()), float(np.abs(np.diff(after)).max()))
         if abs(size) > bound and apart < abs(size) / 2:
-            found.append((int(known[k + 1]), size))
+            found.append((int(np.searchsorted(t, when[k + 1])), size))
     return found
 
 
 def unwrapped(y: Array) -> Array:
     """Return readings y (N,) rad, NaN where missing, with whole turns between neighbours removed."""
+    if not np.fmax.reduce(y, initial=-np.inf) - np.fmin.reduce(y, initial=np.inf) > TURN - BESIDE:
+        return y
     known = np.isfinite(y)
     steps = np.diff(y[known], prepend=y[known][:1])
     whole = np.abs(np.abs(steps) - TURN) < BESIDE
@@ -53,18 +56,20 @@ def unwrapped(y: Array) -> Array:
 def _hold_time(steps: Array, t: Array) -> float:
     """Time (s) for which the driver holds a reading, from steps (N-1,) rad at t (N,) s; 0 if it does not."""
     sizes = np.abs(steps)
+    if 2 * np.count_nonzero(steps) > len(steps):
+        return 0.0
     moved = np.flatnonzero(sizes > 1.5 * sizes[sizes > 0.0].min(initial=np.inf))
-    if 2 * np.count_nonzero(steps) > len(steps) or len(moved) <= OFTEN:
+    if len(moved) <= OFTEN:
         return 0.0
     return min(float(np.quantile(np.diff(t[moved]), 0.1)), HELD)
 
 
 def _scatter(steps: Array) -> float:
     """Robust std of steps (N,) rad; for coarse encoders, whose median step is 0, the median nonzero step."""
-    if scatter := 1.4826 * float(np.median(np.abs(steps - np.median(steps)))):
+    if scatter := 1.4826 * median(np.abs(steps - median(steps))):
         return scatter
     moved = np.abs(steps[steps != 0.0])
-    return float(np.median(moved)) if len(moved) else 0.0
+    return median(moved) if len(moved) else 0.0
 
 
 def _level(v: Array) -> float:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
+from ...linear_algebra import forward_substituted
 from ...types import Array, Fault, Hypothesis
 from ..measurements.gather import camera
 from ..measurements.records import Encoders, Evidence, Sighting
@@ -174,9 +175,9 @@ def _displacements(rows: _Rows, cov: Array) -> list[Displacement]:
 
 def _best_displacement(rows: _Rows, cov: Array, others: list[Displacement]) -> Displacement:
     """The most likely displacement given the others, and the nats it wins."""
-    left = _residuals(rows, others)
-    found = _best_step(replace(rows, r=left), cov, np.eye(2)[rows.output], SIZE)
-    return replace(found, nats=_cost(left, cov) - found.nats)
+    left = replace(rows, r=_residuals(rows, others))
+    found, none = _best_step(left, cov, np.eye(2)[rows.output], SIZE)
+    return replace(found, nats=none - found.nats)
 
 
 def _residuals(rows: _Rows, moves: list[Displacement]) -> Array:
@@ -191,14 +192,14 @@ def _gain_over_encoders(rows: _Rows, cov: Array, moves: list[Displacement]) -> f
     as one displacement, so it is compared with the first displacement alone.
     """
     joints, none = range(rows.x.shape[1]), _cost(rows.r, cov)
-    white = np.linalg.solve(np.linalg.cholesky(cov), _residuals(rows, moves))
-    if white @ white > POOR * len(white):
+    white = forward_substituted(np.linalg.cholesky(cov), _residuals(rows, moves)[:, None])
+    if np.square(white).sum() > POOR * len(white):
         return -np.inf
-    wander = [sum(_offset_covariance(rows, joint, OFFSET, walk) for joint in joints) for walk in WALKS]
-    wander += [_offset_covariance(rows, joint, FAR, FAST) for joint in joints]
+    wander = [_offset_covariance(rows, rows.jac, OFFSET, walk) for walk in WALKS]
+    wander += [_offset_covariance(rows, rows.jac[:, joint, None], FAR, FAST) for joint in joints]
     moved = none - sum(one.nats for one in moves)
     one = none - moves[0].nats if len(moves) == 1 else none - _best_displacement(rows, cov, []).nats
-    steps = min(_best_step(rows, cov, rows.jac[:, joint, None], FAR).nats for joint in joints)
+    steps = min(_best_step(rows, cov, rows.jac[:, joint, None], FAR)[0].nats for joint in joints)
     return min(steps - one, min(_cost(rows.r, cov + more) for more in wander) - moved)
 
 
@@ -222,34 +223,37 @@ def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
 
 def _covariance(rows: _Rows) -> Array:
     """Covariance (R,R) px² of r with a fixed camera and sound encoders."""
-    same = (rows.track[:, None] == rows.track) & (rows.output[:, None] == rows.output)
-    apart = np.square((rows.x[:, None] - rows.x) / rows.reach).sum(axis=2)
-    model = np.sqrt(rows.model)
-    cov = same * model[:, None] * model * np.exp(-0.5 * apart)
     # rows of one time share the same means of encoder readings
-    cov += (rows.t[:, None] == rows.t) * ((rows.jac * rows.encoder) @ rows.jac.T)
-    cov += LATE**2 * rows.speed[:, None] * rows.speed
-    cov += sum(_offset_covariance(rows, joint, OFFSET, LASTING) for joint in range(rows.x.shape[1]))
+    cov = (rows.t[:, None] == rows.t) * ((rows.jac * rows.encoder) @ rows.jac.T)
+    cov += LATE**2 * np.outer(rows.speed, rows.speed)
+    cov += _offset_covariance(rows, rows.jac, OFFSET, LASTING)
+    model, place = np.sqrt(rows.model), (rows.x / rows.reach).T
+    for track, output in {*zip(rows.track.tolist(), rows.output.tolist(), strict=True)}:
+        own = np.flatnonzero((rows.track == track) & (rows.output == output))
+        apart = sum(np.square(np.subtract.outer(x, x)) for x in place[:, own])
+        cov[np.ix_(own, own)] += np.outer(model[own], model[own]) * np.exp(-0.5 * apart)
     cov[np.diag_indices_from(cov)] += rows.noise
     return np.asarray(cov)
 
 
-def _offset_covariance(rows: _Rows, joint: int, offset: float, walk: float) -> Array:
-    """Covariance (R,R) px² added by an encoder offset of std `offset` (rad) that wanders by `walk` (rad²/s)."""
+def _offset_covariance(rows: _Rows, leans: Array, offset: float, walk: float) -> Array:
+    """Covariance (R,R) px² added by offsets of std `offset` (rad) that wander by `walk` (rad²/s).
+
+    leans (R,J) px/rad: Jacobian of the encoders that have one.
+    """
     since = rows.t - rows.t.min()
-    lean = rows.jac[:, joint]
-    return np.asarray(lean[:, None] * lean * (offset**2 + walk * np.minimum(since[:, None], since)))
+    return np.asarray((leans @ leans.T) * (offset**2 + walk * np.minimum.outer(since, since)))
 
 
-def _best_step(rows: _Rows, cov: Array, basis: Array, wide: float) -> Displacement:
-    """The most likely step along a basis (R,D), with D ~ N(0, wide²), and its time.
+def _best_step(rows: _Rows, cov: Array, basis: Array, wide: float) -> tuple[Displacement, float]:
+    """The most likely step along a basis (R,D), with D ~ N(0, wide²), and its time; the cost (nats) without one.
 
     Its `nats` is the cost, −ln p of all rows, averaged over all times of a step.
     """
     times, d = np.unique(rows.t), basis.shape[1]
     chol = np.linalg.cholesky(cov)
     steps = basis[:, :, None] * (rows.t[:, None] >= times)[:, None, :]
-    white = np.linalg.solve(chol, np.column_stack([rows.r, steps.reshape(len(rows.t), -1)]))
+    white = forward_substituted(chol, np.column_stack([rows.r, steps.reshape(len(rows.t), -1)]))
     r, s = white[:, 0], white[:, 1:].reshape(len(rows.t), d, len(times))
     info = np.einsum("rdk,rek->kde", s, s) + np.eye(d) / wide**2
     pull = np.einsum("rdk,r->kd", s, r)
@@ -261,14 +265,15 @@ def _best_step(rows: _Rows, cov: Array, basis: Array, wide: float) -> Displaceme
     best = int(cost.argmin())
     # all times are equally likely
     total = float(cost[best] - np.log(np.exp(cost[best] - cost).mean()))
-    return Displacement(float(times[best]), size[best], np.linalg.inv(info[best]), total)
+    none = float(_scaled_nats(r @ r, len(r)) + 0.5 * logdet)
+    return Displacement(float(times[best]), size[best], np.linalg.inv(info[best]), total), none
 
 
 def _cost(r: Array, cov: Array) -> float:
     """−ln p (nats) of rows r (R,) without a displacement, up to a constant of all hypotheses."""
     chol = np.linalg.cholesky(cov)
-    white = np.linalg.solve(chol, r)
-    return float(_scaled_nats(np.array(white @ white), len(r)) + np.log(np.diag(chol)).sum())
+    white = forward_substituted(chol, r[:, None])
+    return float(_scaled_nats(np.square(white).sum(), len(r)) + np.log(np.diag(chol)).sum())
 
 
 def _scaled_nats(square: Array, count: int) -> Array:

@@ -8,6 +8,7 @@ from ...body_model import BodyModel
 from ...types import Array, Finding
 from ..inference.reacquisition import NAMED
 from ..measurements.gather import silent
+from ..measurements.long_arrays import rows
 from ..measurements.records import Encoders, Evidence, Sighting
 from .contract import Verdict
 
@@ -37,7 +38,7 @@ def silence_findings(
     frames = np.sort(np.concatenate([sighting.t for sighting in sightings if sighting.name != "touch"]))
     groups: dict[tuple[str, ...], list[str]] = {}
     for name, column in zip(names, encoders.values.T, strict=True):
-        groups.setdefault(tuple(_silent_from(frames, encoders.t[np.isfinite(column)])), []).append(name)
+        groups.setdefault(tuple(_silent_from(frames, encoders.t[rows(np.isfinite(column))])), []).append(name)
     for when, joints in groups.items():
         if when and (len(joints) > seen or len(joints) == len(names)):
             more = f" and {len(when) - NAMED} times more" if len(when) > NAMED else ""

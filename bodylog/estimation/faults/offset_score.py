@@ -13,6 +13,7 @@ from ..inference.conditioning import raised
 from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import Problem
 from ..inference.solution import Solution
+from ..measurements.long_arrays import seen as seen_rows
 from ..measurements.timeline import spans
 from ..noise.correlated_noise import counts
 
@@ -59,7 +60,7 @@ def offset_score(problem: Problem, solved: Solution, walk: float) -> tuple[Array
 def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
     """Innovations of one track's sightings and their information."""
     readings, trace = solved.readings, solved.trace
-    seen: Array = np.all(np.isfinite(problem.evidence.sightings[track].values), axis=1)
+    seen: Array = seen_rows(problem.evidence.sightings[track].values)
     events = problem.timeline.sightings[track][seen]
     x, cov = _at(solved, trace.prior, events), _at(solved, trace.prior_cov, events)
     y, jac, var = (_at(solved, part[:, track], events) for part in (readings.y, readings.jac, readings.var))

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ...types import Array
+from ..measurements.long_arrays import seen
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import spans
 from ..noise.quantisation import resolved, step_size
@@ -26,19 +27,19 @@ LEFT = 0.2
 
 def stalled(encoders: Encoders, sightings: Sequence[Sighting]) -> Iterator[tuple[int, int, int]]:
     """Yield each joint and stretch [begin, end) of its readings that images contradict, the first reading excluded."""
-    seen = [s for s in sightings if s.name != "touch"]
-    if not seen or encoders.values.shape[1] == 0 or not np.isfinite(encoders.values).any(axis=0).all():
+    images = [s for s in sightings if s.name != "touch"]
+    if not images or encoders.values.shape[1] == 0 or not np.isfinite(encoders.values).any(axis=0).all():
         return
     for joint, column in enumerate(encoders.values.T):
         for begin, end in repeats(encoders.t, column):
             windows = spans(encoders.t[begin : end - 1], SPAN)
-            if any(_moved(encoders, joint, s, w, min(w + SPAN, encoders.t[end - 1])) for w in windows for s in seen):
+            if any(_moved(encoders, joint, s, w, min(w + SPAN, encoders.t[end - 1])) for w in windows for s in images):
                 yield joint, begin + 1, end
 
 
 def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end: float) -> bool:
     """Whether images from begin to end (s) require motion of this joint alone, beyond its encoder's step."""
-    rows = np.isfinite(sighting.values).all(axis=1) & (sighting.t > begin) & (sighting.t <= end)
+    rows = seen(sighting.values) & (sighting.t > begin) & (sighting.t <= end)
     parts = [p for p in _parts(sighting.t[rows], begin) if len(p) >= FEWEST]
     if len(parts) < 2:
         return False

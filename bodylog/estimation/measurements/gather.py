@@ -10,6 +10,7 @@ from ...errors import EvidenceError, LogError, ModelError, UsageError
 from ...settings import Estimation
 from ...types import Array, Features, Finding, Health, Series
 from .contract import Sense
+from .long_arrays import any_of_row, rows
 from .records import Encoders, Evidence, Sighting
 from .touch import Touch
 from .track import Track, ascending, gap
@@ -75,22 +76,21 @@ def _encoders(
     if joints is None:
         return None, {"encoders": Health(0, 0)}
     values = joints.values[:, columns(joints, names)].astype(float)
+    known = np.isfinite(values)
     # rows that hold only joints of other topics are no readings of these
-    ours = np.isfinite(values).any(axis=1) | ~np.isfinite(joints.values).any(axis=1)
-    joints = replace(joints, t=joints.t[ours], values=joints.values[ours], source_ns=joints.source_ns[ours])
-    values = values[ours]
-    silent = [index for index, name in enumerate(names) if name not in wanted]
-    rising = ascending(joints.t)
-    broken = ~np.isfinite(values).any(axis=1)
-    values[:, silent] = np.nan
-    values[~np.isfinite(values)] = np.nan
-    keep = rising & ~broken
+    ours = rows(any_of_row(known) | ~any_of_row(np.isfinite(joints.values)))
+    t, source, values, known = joints.t[ours], joints.source_ns[ours], values[ours], known[ours]
+    rising, broken = ascending(t), ~any_of_row(known)
+    used = [name in wanted for name in names]
+    known = known & used
+    values[~known] = np.nan
+    keep = rows(rising & ~broken)
     reasons = {"time runs backwards": int((~rising).sum()), "not a number": int((rising & broken).sum())}
-    for index in (index for index, name in enumerate(names) if name in wanted):
-        reasons[f"without {names[index]}"] = int(np.isnan(values[keep, index]).sum())
-    use = int(np.isfinite(values[keep]).any(axis=1).sum())
-    used = {"encoders": Health(len(joints.t), use, {k: v for k, v in reasons.items() if v}, gap(joints.t[keep]))}
-    return Encoders(joints.t[keep], values[keep], joints.source_ns[keep]), used
+    for index in np.flatnonzero(used):
+        reasons[f"without {names[index]}"] = int((~known[keep, index]).sum())
+    use = int(any_of_row(known[keep]).sum())
+    health = Health(len(t), use, {reason: count for reason, count in reasons.items() if count}, gap(t[keep]))
+    return Encoders(t[keep], values[keep], source[keep]), {"encoders": health}
 
 
 def camera(track: str) -> str:
@@ -114,8 +114,8 @@ def _first(joints: Series | None, names: tuple[str, ...]) -> Array:
     first = np.full(len(names), np.nan)
     if joints is not None:
         for index, column in enumerate(joints.values[:, columns(joints, names)].T):
-            finite = column[np.isfinite(column)]
-            first[index] = finite[0] if len(finite) else np.nan
+            known = np.isfinite(column)
+            first[index] = column[known.argmax()] if known.any() else np.nan
     return first
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...errors import EvidenceError, UsageError
 from ...types import Array
+from .long_arrays import median_step
 from .records import Evidence
 
 FASTEST = 100.0
@@ -48,7 +49,7 @@ def output_times(evidence: Evidence, rate: float | None) -> Array:
     t = union(*clocks)
     if len(t) == 0:
         raise EvidenceError("joints: no sound time stamp to estimate at")
-    if rate is None and (len(t) < 2 or np.median(np.diff(t)) > 0.99 / FASTEST):
+    if rate is None and (len(t) < 2 or median_step(t) > 0.99 / FASTEST):
         return t
     rate = rate or FASTEST
     _check_grid(rate, t)
@@ -75,7 +76,8 @@ def union(*clocks: Array) -> Array:
 
 def spans(t: Array, width: float) -> Array:
     """Starts (B,) s of the spans of `width` s, counted from t[0], that contain any of ascending t (N,) s."""
-    return np.asarray(t[:1] + width * np.unique(np.floor((t - t[:1]) / width)))
+    number = np.floor((t - t[:1]) / width)
+    return np.asarray(t[:1] + width * number[np.append(True, number[1:] != number[:-1])[: len(t)]])
 
 
 def snapped(grid: Array, t: Array) -> Array:

@@ -5,6 +5,8 @@ import numpy as np
 from ...body_model import BodyModel, ForwardModel
 from ...types import Array, Features, Health
 from .contract import Measured
+from .long_arrays import rows
+from .long_arrays import seen as seen_rows
 from .records import Sighting
 
 
@@ -24,22 +26,24 @@ class Track:
         """Read the positions of a track; NaN where it was not seen."""
         track = features.tracks[name]
         rising = ascending(track.t)
-        seen: Array = np.all(np.isfinite(track.values), axis=1)
+        seen = seen_rows(track.values)
         reasons = {"time runs backwards": int((~rising).sum()), "out of view": int((rising & ~seen).sum())}
         rejected = {reason: count for reason, count in reasons.items() if count}
         health = Health(len(track.t), int((rising & seen).sum()), rejected, gap(track.t[rising & seen]))
         model, noise = body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
         var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
-        values, shared = np.where(seen[:, None], track.values, np.nan), _common(model, noise)
-        source = track.source_ns[rising]
-        return Measured(Sighting(name, model, track.t[rising], values[rising], var[rising], source, shared), health)
+        values, kept = np.where(seen[:, None], track.values, np.nan), rows(rising)
+        t, values, var, source = track.t[kept], values[kept], var[kept], track.source_ns[kept]
+        return Measured(Sighting(name, model, t, values, var, source, _common(model, noise)), health)
 
 
 def ascending(t: Array) -> Array:
     """True where a time is later than all before it."""
     t = np.where(np.isfinite(t), t, -np.inf)
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]]) if len(t) else t
-    return t > before
+    if (t[1:] > t[:-1]).all() and not np.isneginf(t[:1]).any():
+        return np.ones(len(t), bool)
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
+    return np.asarray(t > before)
 
 
 def gap(t: Array) -> float:

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
+from .long_arrays import any_of_row, median, median_step
+from .long_arrays import seen as seen_rows
 from .records import Encoders, Sighting
 from .timeline import spans
 
@@ -97,10 +99,10 @@ def _cubic(t: Array, at: Array, gap: float) -> tuple[Array, Array, Array, Array]
 def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
     """The curve of a track beside at most `most` means of encoder readings; None where either is too short."""
     t, places, var = _clean(seen)
-    if len(t) < FEWEST or len(encoders.t) < FEWEST or (step := float(np.median(np.diff(t)))) > COARSE:
+    if len(t) < FEWEST or len(encoders.t) < FEWEST or (step := median_step(t)) > COARSE:
         return None
     # slightly more than a step, so that readings and frames do not stay in phase
-    at, x, count = _means(encoders, max(step, 1.0001 * float(np.median(np.diff(encoders.t)))), most)
+    at, x, count = _means(encoders, max(step, 1.0001 * median_step(encoders.t)), most)
     if len(at) < FEWEST:
         return None
     predicted, jac, model = seen.model.predict(x)
@@ -124,15 +126,15 @@ def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
 
 def _clean(seen: Sighting) -> tuple[Array, Array, Array]:
     """Times (N,), positions (N,2) and typical variance (2,), without repeated frames and single blunders."""
-    shown = np.flatnonzero(np.isfinite(seen.values).all(axis=1))
-    shown = shown[np.append(True, (np.diff(seen.values[shown], axis=0) != 0.0).any(axis=1))[: len(shown)]]
+    shown = np.flatnonzero(seen_rows(seen.values))
+    shown = shown[np.append(True, any_of_row(np.diff(seen.values[shown], axis=0) != 0.0))[: len(shown)]]
     t, places = seen.t[shown], seen.values[shown]
     if len(t) < FEWEST:
         return t, places, np.ones(2)
     share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
     off = np.abs(places[1:-1] - (1.0 - share) * places[:-2] - share * places[2:]).max(axis=1)
-    kept = np.concatenate([[True], off <= BLUNDER * np.median(off), [True]])
-    return t[kept], places[kept], np.median(seen.var[shown], axis=0)
+    kept = np.concatenate([[True], off <= BLUNDER * median(off), [True]])
+    return t[kept], places[kept], np.array([median(column) for column in seen.var[shown].T])
 
 
 def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, Array]:
@@ -140,13 +142,12 @@ def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, A
     begins = spans(encoders.t, width)
     begins = begins[:: max(1, -(-len(begins) // most))]
     low, high = np.searchsorted(encoders.t, begins), np.searchsorted(encoders.t, begins + width)
-    parted = np.stack([low, high], axis=1)[high > low].ravel()
-    # a last row, for spans that end with the log
-    since = np.append(encoders.t - encoders.t[0], 0.0)[:, None]
-    values = np.append(encoders.values, np.full((1, encoders.values.shape[1]), np.nan), axis=0)
-    known = np.isfinite(values)
-    parts = (known.astype(float), np.where(known, values, 0.0), known * since)
-    count, total, time = (np.add.reduceat(part, parted, axis=0)[::2] for part in parts)
+    low, size = low[high > low], (high - low)[high > low]
+    starts = np.cumsum(size) - size
+    own = np.repeat(low - starts, size) + np.arange(size.sum())
+    known, since = np.isfinite(encoders.values[own]), (encoders.t[own] - encoders.t[0])[:, None]
+    parts = (known.astype(float), np.where(known, encoders.values[own], 0.0), known * since)
+    count, total, time = (np.add.reduceat(part, starts, axis=0) for part in parts)
     full = count.min(axis=1) >= np.maximum(0.5 * np.median(count), 1.0)
     count, total, time = count[full], total[full], time[full] / count[full]
     together = np.ptp(time, axis=1) < ASIDE
@@ -158,7 +159,7 @@ def _scatter(values: Array) -> Array:
     middle = max(0, (len(values) - 10 * MOST) // 2)
     # readings of several topics are in separate rows, with NaN between them
     columns = [column[np.isfinite(column)] for column in values[middle : middle + 10 * MOST].T]
-    jerks = [np.median(np.abs(np.diff(column, 3))) if len(column) > 3 else np.nan for column in columns]
+    jerks = [median(np.abs(np.diff(column, 3))) if len(column) > 3 else np.nan for column in columns]
     return np.asarray(np.square(1.4826 * np.array(jerks)) / 20.0)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Estimate, Fault, Finding, Hypothesis, Series
+from ..measurements.long_arrays import seen as seen_rows
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
 
@@ -66,7 +67,7 @@ def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, 
     np.einsum("fdd->fd", cov)[:] += noise
     std = np.sqrt(np.einsum("fdd->fd", cov))
     names = sighting.model.outputs
-    seen = np.isfinite(sighting.values).all(axis=1)
+    seen = seen_rows(sighting.values)
     error = ((sighting.values - mean) / std)[seen]
     mean = mean if sighting.displaced is None else mean + sighting.displaced
     errors = Series(sighting.t[seen], error, names, "std", sighting.source_ns[seen])

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...types import Array
 from ..inference.conditioning import GATE
+from ..measurements.long_arrays import median_step
 
 WITHIN = 0.8
 """Share of the gate for innovations by lasting accelerations; the rest is for the readings' noise."""
@@ -28,7 +29,7 @@ def followed(t: Array, y: Array, alone: Array, noise: float, process: float) -> 
     alone (N-2,) bool: second differences that are not motion · noise: variance (rad²) of one reading.
     """
     steps = np.diff(t)
-    step = float(np.median(steps)) if len(t) > 2 else 0.0
+    step = median_step(t) if len(t) > 2 else 0.0
     if step <= 0.0:
         return process
     late = steps > LATE * step

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...types import Array
+from ..measurements.long_arrays import median_step
+from ..measurements.long_arrays import seen as seen_rows
 from ..measurements.records import Sighting
 
 LONG = 10
@@ -19,7 +21,7 @@ View = tuple[str, ...]
 
 def visual(sightings: Sequence[Sighting]) -> list[Sighting]:
     """Sightings of tracks seen at least once, without touch."""
-    return [s for s in sightings if s.name != "touch" and np.isfinite(s.values).all(axis=1).any()]
+    return [s for s in sightings if s.name != "touch" and seen_rows(s.values).any()]
 
 
 def views(sightings: Sequence[Sighting], t: Array) -> tuple[list[View], Array]:
@@ -36,7 +38,7 @@ def views(sightings: Sequence[Sighting], t: Array) -> tuple[list[View], Array]:
 
 def _in_view(track: Sighting, t: Array) -> Array:
     """Whether a track is in view at times t (E,), with sightings shortly before and after."""
-    seen = track.t[np.isfinite(track.values).all(axis=1)]
+    seen = track.t[seen_rows(track.values)]
     around = np.concatenate([[min(t[0], seen[0])], seen, [max(t[-1], seen[-1])]])
-    quick = np.diff(around) <= LONG * float(np.median(np.diff(track.t))) if len(track.t) > 1 else np.zeros(2, bool)
+    quick = np.diff(around) <= LONG * median_step(track.t) if len(track.t) > 1 else np.zeros(2, bool)
     return np.ones(len(t), bool) if quick.all() else quick[np.searchsorted(seen, t)]

@@ -11,6 +11,7 @@ from ...errors import ModelError, UsageError
 from ...types import Array, Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import screen_encoders
 from ..measurements.gather import camera, columns
+from ..measurements.long_arrays import any_of_row, rows
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track import ascending, pixel_variance
 from .regression import FARTHEST, Delay, measured
@@ -119,14 +120,15 @@ def sound_measurements(
     joints, seen = features.joints, dict[str, list[Sighting]]()
     if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
         return None, {}
-    rows = _rows_between(joints.t, begin, end)
-    values = joints.values[rows][:, columns(joints, body.joints)].astype(float)
-    values[~np.isfinite(values)] = np.nan
-    spoken = np.isfinite(values).any(axis=1)
+    inside = _rows_between(joints.t, begin, end)
+    values = joints.values[inside][:, columns(joints, body.joints)].astype(float)
+    known = np.isfinite(values)
+    values[~known] = np.nan
+    spoken = rows(any_of_row(known))
     for name, track in features.tracks.items():
         if name in body.senses:
             seen.setdefault(camera(name), []).append(_sighting(name, track, body, _rows_between(track.t, begin, end)))
-    encoders = Encoders(joints.t[rows][spoken], values[spoken], joints.source_ns[rows][spoken])
+    encoders = Encoders(joints.t[inside][spoken], values[spoken], joints.source_ns[inside][spoken])
     return screen_encoders(encoders, body.joints)[0], seen
 
 
@@ -187,16 +189,16 @@ def _stamped(series: Series, timely: Series | None, track: Series | None) -> Ser
     return replace(series, t=track.t[order[np.searchsorted(timely.t[order], series.t)]])
 
 
-def _rows_between(t: Array, begin: float, end: float) -> Array:
-    """Row numbers of ascending times t (N,) between begin and end."""
-    return np.flatnonzero(ascending(t) & (t >= begin) & (t <= end))
+def _rows_between(t: Array, begin: float, end: float) -> Array | slice:
+    """Index of the rows of ascending times t (N,) between begin and end."""
+    return rows(ascending(t) & (t >= begin) & (t <= end))
 
 
-def _sighting(name: str, track: Series, body: BodyModel, rows: Array) -> Sighting:
-    model, std = body.senses[name], None if track.std is None else track.std[rows]
+def _sighting(name: str, track: Series, body: BodyModel, some: Array | slice) -> Sighting:
+    model, std = body.senses[name], None if track.std is None else track.std[some]
     var = pixel_variance(std, model, np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float))
-    values = track.values[rows]
-    return Sighting(name, model, track.t[rows], values, np.broadcast_to(var, values.shape), track.source_ns[rows])
+    values = track.values[some]
+    return Sighting(name, model, track.t[some], values, np.broadcast_to(var, values.shape), track.source_ns[some])
 
 
 def learned_delays(body: BodyModel) -> dict[str, float]:

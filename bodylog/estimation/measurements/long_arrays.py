@@ -1,0 +1,40 @@
+"""Masks and medians of long arrays, several times faster than NumPy's own."""
+
+from functools import reduce
+
+import numpy as np
+
+from ...types import Array
+
+
+def any_of_row(mask: Array) -> Array:
+    """Whether each row of mask (N,D) bool has a True; NumPy is slow along short rows."""
+    return np.asarray(reduce(np.logical_or, mask.T, np.zeros(len(mask), bool)))
+
+
+def all_of_row(mask: Array) -> Array:
+    """Whether each row of mask (N,D) bool is True throughout."""
+    return np.asarray(reduce(np.logical_and, mask.T, np.ones(len(mask), bool)))
+
+
+def seen(values: Array) -> Array:
+    """Which rows (N,) of values (N,D) are finite throughout."""
+    return all_of_row(np.isfinite(values))
+
+
+def rows(mask: Array) -> Array | slice:
+    """Index of the rows where mask (N,) is True: a slice, which copies nothing, if that is all of them."""
+    return slice(None) if mask.all() else np.flatnonzero(mask)
+
+
+def median(a: Array) -> float:
+    """Median of finite numbers (N,), N > 0; one pivot is found several times faster than NumPy's two or three."""
+    half = len(a) // 2
+    parted = np.partition(a, half)
+    return float(parted[half] if len(a) % 2 else (parted[:half].max() + parted[half]) / 2.0)
+
+
+def median_step(t: Array) -> float:
+    """Median difference of neighbours in t (N,), N > 1; sorted, because nearly equal numbers are slow to partition."""
+    steps, half = np.sort(np.diff(t)), (len(t) - 1) // 2
+    return float(steps[half] if len(steps) % 2 else (steps[half - 1] + steps[half]) / 2.0)

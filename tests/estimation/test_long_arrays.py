@@ -1,0 +1,35 @@
+"""Fast masks and medians agree with NumPy's."""
+
+import numpy as np
+import pytest
+
+from bodylog.estimation.measurements import long_arrays
+from bodylog.linear_algebra import forward_substituted
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 40, 41, 999, 1000])
+def test_medians_are_numpys(count):
+    rng = np.random.default_rng(count)
+    for values in (rng.normal(size=count), rng.integers(0, 3, count) * 0.1, np.ones(count)):
+        assert long_arrays.median(values) == np.median(values)
+        t = np.append(0.0, np.cumsum(values))
+        assert long_arrays.median_step(t) == np.median(np.diff(t))
+
+
+@pytest.mark.parametrize("columns", [0, 1, 2, 7])
+def test_masks_of_rows_are_numpys(columns):
+    values = np.random.default_rng(columns).normal(size=(50, columns))
+    values[values > 1.0] = np.nan
+    known = np.isfinite(values)
+    np.testing.assert_array_equal(long_arrays.any_of_row(known), known.any(axis=1))
+    np.testing.assert_array_equal(long_arrays.all_of_row(known), known.all(axis=1))
+    np.testing.assert_array_equal(long_arrays.seen(values), known.all(axis=1))
+    some = long_arrays.seen(values)
+    np.testing.assert_array_equal(values[long_arrays.rows(some)], values[some])
+
+
+@pytest.mark.parametrize("size", [1, 64, 65, 200])
+def test_forward_substitution_is_the_full_solution(size):
+    rng = np.random.default_rng(size)
+    lower, right = np.tril(rng.normal(size=(size, size))) / size + 2.0 * np.eye(size), rng.normal(size=(size, 3))
+    np.testing.assert_allclose(forward_substituted(lower, right), np.linalg.solve(lower, right), rtol=1e-12, atol=1e-13)
