@@ -52,11 +52,13 @@ def annotating(source: Path, out: Path, whole: bool = True, limits: Input = LIMI
     guard([source], [Output(out)])
     with replacing(out) as beside:
         base = _base(source) if whole else None
-        with Copy(source) if base is None else Copy(source, beside, base.end) as copy, beside.open("r+b") as stream:
-            under_way = Annotation(source, base, copy, stream, limits)
-            yield under_way
+        with Copy(source) if base is None else Copy(source, beside, base.end) as copy:
+            with beside.open("r+b") as stream:
+                under_way = Annotation(source, base, copy, stream, limits)
+                yield under_way
+            copy.copied()
+            verify(beside, under_way.messages, out)
             copy.digest()
-        verify(beside, under_way.messages, out)
 
 
 class Annotation:

@@ -5,6 +5,8 @@ import hashlib
 import os
 import struct
 import sys
+from collections import deque
+from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from pathlib import Path
 from threading import Event
@@ -13,7 +15,9 @@ from ..errors import LogError
 from ..io.atomic_files import iter_mapped
 from ..logs.episode_files import files_of
 
-_PIECE = 16 << 20
+_PIECE, _AHEAD = 8 << 20, 4
+"""Bytes read at once, and how many such pieces the copy may be ahead of the digest."""
+
 _BLOCK = 4096
 _FICLONERANGE = 0x4020940D
 """Linux ioctl for two files to share a range of blocks until one is written (btrfs, XFS, bcachefs, …)."""
@@ -23,20 +27,24 @@ _LONG = 128 << 20
 
 
 class Copy:
-    """The digest of `source`, and a copy of its first `end` bytes to `target`, made within a `with` block."""
+    """The digest of `source`, and a copy of its first `end` bytes to `target`, made within a `with` block.
+
+    The copy is ahead of the digest, which takes longer: it can be verified while the rest is digested.
+    """
 
     def __init__(self, source: Path, target: Path | None = None, end: int = 0) -> None:
-        """A short log is not copied before `begin` or `digest`; without `target` nothing is copied."""
+        """A short log is not copied before `begin`, `copied` or `digest`; without `target` nothing is copied."""
         self._source, self._target, self._end = source, target, end
         self._size = 0 if target is None else source.stat().st_size
         self._begun, self._stopped, self._pool = Event(), Event(), ThreadPoolExecutor(1)
+        self._digest = _Digest()
         if target is None or self._size > _LONG:
             self.begin()
 
     def __enter__(self) -> "Copy":
         """Start the copy."""
         try:
-            self._digest = self._pool.submit(self._read)
+            self._copy = self._pool.submit(self._read)
         except BaseException:  # interrupted while the thread starts: it would wait forever
             self.__exit__()
             raise
@@ -47,50 +55,83 @@ class Copy:
         self._stopped.set()
         self.begin()
         self._pool.shutdown()
+        self._digest.close()
 
     def begin(self) -> None:
         """Start now if still waiting: a core is free."""
         self._begun.set()
 
+    def copied(self) -> None:
+        """Wait until all is read and the copy is made; LogError when a copied file changed its size."""
+        self.begin()
+        self._copy.result()
+
     def digest(self) -> str:
         """Hex SHA-256 of the source, after reading and copying; LogError when a copied file changed its size."""
-        self.begin()
-        return self._digest.result()
+        self.copied()
+        return self._digest.hex()
 
-    def _read(self) -> str:
+    def _read(self) -> None:
         self._begun.wait()
         if self._target is None:
-            return self._pass(None)[0]
+            self._pass(files_of(self._source), None)
+            return
         target = _Target(self._target)
         try:
-            digest, read = self._pass(target)
-            target.wait()
+            read = self._pass((self._source,), target)
         finally:
             target.close()
         now = self._source.stat().st_size
         if not self._end <= read == self._size == now:
             grown = f"had {self._size} bytes, but {now} when it was copied"
             raise LogError(f"{self._source}: {grown}; was it still being recorded?")
-        return digest
 
-    def _pass(self, target: "_Target | None") -> tuple[str, int]:
-        """The digest and the number of bytes; each piece is written while it is digested, unless it is shared."""
-        digest, read = hashlib.sha256(), 0
+    def _pass(self, parts: Iterable[Path], target: "_Target | None") -> int:
+        """Digest and copy; returns how many bytes were read. Shared bytes are not written."""
+        read = 0
         shared = 0 if target is None else target.share(self._source, self._end)
-        parts = files_of(self._source) if target is None else (self._source,)
-        for piece in (piece for part in parts for piece in iter_mapped(part, _PIECE)):
-            if self._stopped.is_set():
-                raise CancelledError
-            if target is not None:
-                low, high = max(0, shared - read), max(0, self._end - read)
-                target.write(piece[low:high], read + low)
-            digest.update(piece)
-            read += len(piece)
-        return digest.hexdigest(), read
+        for part in parts:
+            for piece, drop in iter_mapped(part, _PIECE):
+                if self._stopped.is_set():
+                    raise CancelledError
+                self._digest.add(piece, drop)
+                if target is not None:
+                    low, high = max(0, shared - read), max(0, self._end - read)
+                    target.write(piece[low:high], read + low)
+                read += len(piece)
+        return read
+
+
+class _Digest:
+    """A SHA-256 that a thread computes, by up to `_AHEAD` pieces behind what is added."""
+
+    def __init__(self) -> None:
+        self._sha256, self._pool = hashlib.sha256(), ThreadPoolExecutor(1)
+        self._behind: deque[Future[None]] = deque()
+
+    def add(self, piece: memoryview, drop: Callable[[], None]) -> None:
+        """Digest a piece after those before it, then drop its pages."""
+        if len(self._behind) == _AHEAD:
+            self._behind.popleft().result()
+        self._behind.append(self._pool.submit(self._update, piece, drop))
+
+    def hex(self) -> str:
+        """The digest of all pieces."""
+        for done in self._behind:
+            done.result()
+        return self._sha256.hexdigest()
+
+    def close(self) -> None:
+        """Wait for the thread."""
+        self._pool.shutdown()
+
+    def _update(self, piece: memoryview, drop: Callable[[], None]) -> None:
+        self._sha256.update(piece)
+        drop()
 
 
 class _Target:
-    """A file written in the background, past the page cache if its disk can, to leave the cache to readers."""
+    """A file written past the page cache if its disk can, to leave the cache to readers."""
 
     def __init__(self, path: Path) -> None:
         self._plain = os.open(path, os.O_WRONLY)
@@ -98,8 +139,6 @@ class _Target:
             self._direct: int | None = os.open(path, os.O_WRONLY | os.O_DIRECT)
         except (OSError, AttributeError):
             self._direct = None
-        self._pool = ThreadPoolExecutor(1)
-        self._writing: Future[None] | None = None
 
     def share(self, source: Path, end: int) -> int:
         """Share the first `end` bytes with `source` in whole blocks if the disk can; returns how many are shared."""
@@ -113,25 +152,14 @@ class _Target:
                 return 0
         return size
 
-    def write(self, piece: memoryview, at: int) -> None:
-        """Start to write a piece, if not empty, at byte `at` after the previous one is written."""
-        self.wait()
-        self._writing = self._pool.submit(self._write, piece, at)
-
-    def wait(self) -> None:
-        """Wait until all is written; OSError if that fails."""
-        if self._writing is not None:
-            self._writing.result()
-
     def close(self) -> None:
         """Close the file."""
-        self._pool.shutdown()
         for handle in (self._plain, self._direct):
             if handle is not None:
                 os.close(handle)
 
-    def _write(self, piece: memoryview, at: int) -> None:
-        """Write whole blocks directly to the disk, the remainder through the cache."""
+    def write(self, piece: memoryview, at: int) -> None:
+        """Write a piece at byte `at`: whole blocks directly to the disk, the remainder through the cache."""
         whole = 0 if self._direct is None else len(piece) // _BLOCK * _BLOCK
         done = 0
         while done < len(piece):

@@ -5,8 +5,9 @@ import mmap
 import os
 import select
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from ..errors import LogError, OutputError, WriteError
@@ -133,21 +134,23 @@ def require_regular(path: Path) -> None:
         raise LogError(f"{path}: is a pipe or device, and the input is read twice; save it to a file first")
 
 
-def sha256(path: Path) -> str:
-    """Hex digest of a file, or of a folder's files in name order."""
+def sha256(*paths: Path) -> str:
+    """Hex digest of files one after another; of a folder, its files in name order."""
     from hashlib import sha256
 
     digest = sha256()
-    for piece in iter_mapped(path, 1 << 20):
-        digest.update(piece)
+    for path in paths:
+        for piece, drop in iter_mapped(path, 1 << 20):
+            digest.update(piece)
+            drop()
     return digest.hexdigest()
 
 
-def iter_mapped(path: Path, size: int) -> Iterator[memoryview]:
+def iter_mapped(path: Path, size: int) -> Iterator[tuple[memoryview, Callable[[], None]]]:
     """The bytes of a file, or of a folder's files in name order, `size` at a time; only a file's last is shorter.
 
-    Views of the page cache, without copies; each begins at a page if `size` is a number of pages. Bytes cut off or
-    appended meanwhile are missing.
+    Each is a view of the page cache, without copies, with a function that unmaps its pages after use; it begins at a
+    page if `size` is a number of pages. Bytes cut off or appended meanwhile are missing.
     """
     require_regular(path)
     for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
@@ -156,11 +159,10 @@ def iter_mapped(path: Path, size: int) -> Iterator[memoryview]:
                 yield from _mapped(stream.fileno(), whole, size)
 
 
-def _mapped(handle: int, whole: int, size: int) -> Iterator[memoryview]:
+def _mapped(handle: int, whole: int, size: int) -> Iterator[tuple[memoryview, Callable[[], None]]]:
     data = mmap.mmap(handle, whole, access=mmap.ACCESS_READ)
     data.madvise(mmap.MADV_SEQUENTIAL)
     for at in range(0, whole, size):
         end = min(at + size, whole, os.fstat(handle).st_size)
         if end > at:
-            yield memoryview(data)[at:end]
-            data.madvise(mmap.MADV_DONTNEED, at, end - at)
+            yield memoryview(data)[at:end], partial(data.madvise, mmap.MADV_DONTNEED, at, end - at)

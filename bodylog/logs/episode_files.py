@@ -1,11 +1,10 @@
 """The files of a log: its own, or those of one episode of a dataset."""
 
-import hashlib
 from pathlib import Path
 
 from ..errors import BodylogError
 from ..io import episodes
-from ..io.atomic_files import iter_mapped, sha256
+from ..io.atomic_files import sha256
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
@@ -26,10 +25,4 @@ def files_of(path: Path) -> tuple[Path, ...]:
 
 def digest(path: Path) -> str:
     """Hex SHA-256 of a log; for an episode, of its files in order."""
-    parts = files_of(path)
-    if parts == (path,):
-        return sha256(path)
-    found = hashlib.sha256()
-    for piece in (piece for part in parts for piece in iter_mapped(part, 1 << 20)):
-        found.update(piece)
-    return found.hexdigest()
+    return sha256(*files_of(path))

@@ -37,12 +37,23 @@ def meanwhile(monkeypatch, what):
     whole = background_copy.iter_mapped
 
     def interrupted(path, size):
-        for number, piece in enumerate(whole(path, size)):
-            yield piece
+        for number, (piece, drop) in enumerate(whole(path, size)):
+            yield piece, drop
             if number == 1:
                 what()
 
     monkeypatch.setattr(background_copy, "iter_mapped", interrupted)
+
+
+def digest_after(monkeypatch, event):
+    """Let the digest wait for an event."""
+    update = background_copy._Digest._update
+
+    def late(*arguments):
+        assert event.wait(10)
+        update(*arguments)
+
+    monkeypatch.setattr(background_copy._Digest, "_update", late)
 
 
 @pytest.mark.parametrize("direct", [True, False])
@@ -96,15 +107,39 @@ def test_copy_digests_a_folder_file_by_file(tmp_path):
         assert copy.digest() == sha256(tmp_path)
 
 
+def test_copy_is_ahead_of_the_digest_by_few_pieces(tmp_path, monkeypatch):
+    raw, digesting = os.urandom(20 * PIECE), threading.Event()
+    (tmp_path / "in").write_bytes(raw)
+    (tmp_path / "out").write_bytes(b"")
+    digest_after(monkeypatch, digesting)
+    with Copy(tmp_path / "in", tmp_path / "out", len(raw)) as copy:
+        copy.begin()
+        ahead = background_copy._AHEAD * PIECE
+        _until(lambda: (tmp_path / "out").stat().st_size >= ahead)
+        time.sleep(0.1)
+        assert (tmp_path / "out").read_bytes() == raw[:ahead]
+        digesting.set()
+        assert copy.digest() == hashlib.sha256(raw).hexdigest()
+    assert (tmp_path / "out").read_bytes() == raw
+
+
+def test_annotating_verifies_the_copy_before_the_digest_is_made(tmp_path, log, monkeypatch):
+    verified = threading.Event()
+    monkeypatch.setattr(annotate, "verify", lambda *_: verified.set())
+    monkeypatch.setattr(background_copy, "_PIECE", log.stat().st_size)
+    digest_after(monkeypatch, verified)
+    annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
+
+
 def test_copy_stops_after_a_piece(tmp_path, monkeypatch):
     (tmp_path / "in").write_bytes(bytes(100 * PIECE))
     whole, given = background_copy.iter_mapped, []
 
     def slow(path, size):
-        for piece in whole(path, size):
+        for piece, drop in whole(path, size):
             time.sleep(0.2)
             given.append(len(piece))
-            yield piece
+            yield piece, drop
 
     monkeypatch.setattr(background_copy, "iter_mapped", slow)
     with Copy(tmp_path / "in") as copy:
