@@ -5,9 +5,8 @@ import math
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import click
 
@@ -174,8 +173,7 @@ def out_option(what: str) -> Callable[[Command], Command]:
     return click.option("-o", "--output", "out", type=OUT, required=True, help=what)
 
 
-@dataclass(frozen=True)
-class Common:
+class Common(NamedTuple):
     """The options that every command has, as typed."""
 
     config_file: Path | None
@@ -192,7 +190,7 @@ class Common:
         given["synchrony"] = {"clock_offset": offset}
         given["time"] = {"delay": _delays(self.delay)}
         typed = {name: {k: v for k, v in values.items() if v is not None} for name, values in given.items()}
-        return load(self.config_file, typed)
+        return load(self.config_file, {name: values for name, values in typed.items() if values})
 
 
 def _seconds(text: str | None) -> float | str | None:

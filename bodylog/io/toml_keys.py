@@ -5,15 +5,14 @@ import re
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, field, fields
 from typing import Any, NamedTuple
 
 from ..errors import ConfigError
 from .toml_file import shown
 
 
-@dataclass(frozen=True)
-class Key:
+class Key(NamedTuple):
     """The meaning of a key and the values it takes, in one line each.
 
     `low` and `high` bound its numbers, in `unit`. Texts are one of `choices`; without choices, each names a `noun`.

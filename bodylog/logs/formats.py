@@ -1,10 +1,9 @@
 """Open any log: the first bytes of a file select its reader in FORMATS."""
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..errors import LogError
 from ..io import episodes
@@ -72,8 +71,7 @@ def without_images(log: Log) -> "Source":
     return log if heads is None else _Heads(heads)
 
 
-@dataclass(frozen=True)
-class _Heads:
+class _Heads(NamedTuple):
     """An episode of a dataset without its images."""
 
     heads: "Batches"

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 UNIT, TURN = "bodylog.unit", "bodylog.turn"
 """Metadata of a joint topic: unit (rad, deg, counts or unknown), and the number of counts in one turn."""
@@ -21,8 +21,7 @@ def counts(unit: str) -> tuple[float, float] | None:
     return (turn, zero) if turn > 0.0 else None
 
 
-@dataclass(frozen=True)
-class JointUnit:
+class JointUnit(NamedTuple):
     """Unit of the readings · factor to convert them · unit after conversion · one turn in that unit, or None.
 
     `zero`: the reading at 0 rad. Encoder counts and unknown units are not converted unless [body] unit gives the counts

@@ -1,7 +1,7 @@
 """Select the clock of a stream, and handle stamps that are out of order, duplicated or years off."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,7 @@ BACK = 500_000_000
 """ns: no transport delays a message so long beyond its successors; the clock must have run backwards."""
 
 
-@dataclass(frozen=True, eq=False)
-class Timing:
+class Timing(NamedTuple):
     """One stream in time order: t_ns (m,) int64 · rows (m,) into the input · clock used · rejected by reason.
 
     offset_ns, spread_s: median and 5-to-95 % range of log minus header time, None without a header. backwards: log

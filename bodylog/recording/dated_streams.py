@@ -2,8 +2,8 @@
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,7 @@ _MINUTE = 60_000_000_000
 _JOINT_FIELDS = ("name", "position")
 
 
-@dataclass(frozen=True, eq=False)
-class Stream:
+class Stream(NamedTuple):
     """One role's messages in time order: values (m,D), log_ns (m,), and the counts behind its health."""
 
     role: Role
@@ -40,11 +39,11 @@ class Stream:
     counts: tuple[int, ...]
     rejected: Mapping[str, int]
     fallback: int
+    beyond: int
+    wraps: Mapping[str, int]
+    sets: tuple[role_values.Named, ...]
+    unit: str
     shifted_s: float = 0.0
-    beyond: int = 0
-    wraps: Mapping[str, int] = field(default_factory=dict)
-    sets: tuple[role_values.Named, ...] = ()
-    unit: str = "rad"
 
 
 def read_streams(
@@ -77,8 +76,7 @@ def joints_of(log: Log) -> Callable[[Topic], tuple[str, ...]]:
     return names
 
 
-@dataclass(frozen=True)
-class _Beginning:
+class _Beginning(NamedTuple):
     """The first batch of a log."""
 
     log: Log
@@ -128,7 +126,7 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     if by_name:
         converted = values if unit.factor == 1.0 else (values - unit.zero) * unit.factor
         keep, values, idle = role_values.merged(timing.t_ns, converted)
-        timing = replace(timing, t_ns=timing.t_ns[keep], rows=timing.rows[keep])
+        timing = timing._replace(t_ns=timing.t_ns[keep], rows=timing.rows[keep])
         values, beyond, turns = role_values.angles(values[keep], None if independent(role.topics) else unit.turn)
         wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
     elif values.dtype.kind == "f":
@@ -138,8 +136,8 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     rows, counts = signal.rows[timing.rows], tuple(len(some.log_ns) for some in read)
     slow = sum(some.fallback for some in read)
     return Stream(
-        role, timing, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow, beyond=beyond,
-        wraps=wraps, sets=signal.sets, unit=unit.unit if by_name else "",
+        role, timing, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow, beyond,
+        wraps, signal.sets, unit.unit if by_name else "",
     )  # fmt: skip
 
 
@@ -176,10 +174,10 @@ def _rising(found: dict[str, Stream]) -> dict[str, Stream]:
 
 def _without(stream: Stream) -> Stream:
     """The stream with all its messages rejected."""
-    none = replace(stream.timing, t_ns=stream.timing.t_ns[:0], rows=stream.timing.rows[:0])
+    none = stream.timing._replace(t_ns=stream.timing.t_ns[:0], rows=stream.timing.rows[:0])
     rejected = Counter(stream.rejected) + Counter({"time runs backwards": len(stream.rows)})
-    return replace(
-        stream, timing=none, values=stream.values[:0], log_ns=stream.log_ns[:0], rows=stream.rows[:0], rejected=rejected
+    return stream._replace(
+        timing=none, values=stream.values[:0], log_ns=stream.log_ns[:0], rows=stream.rows[:0], rejected=rejected
     )
 
 
@@ -193,7 +191,7 @@ def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:
 def _shifted(stream: Stream, by_ns: int) -> Stream:
     if abs(by_ns) < _MINUTE:
         return stream
-    return replace(stream, timing=replace(stream.timing, t_ns=stream.timing.t_ns + by_ns), shifted_s=by_ns / 1e9)
+    return stream._replace(timing=stream.timing._replace(t_ns=stream.timing.t_ns + by_ns), shifted_s=by_ns / 1e9)
 
 
 def series(stream: Stream | None, start_ns: int, unit: str) -> Series | None:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,16 +16,14 @@ _NEAR = 1.0 / _TURN
 """Turns, one radian, by which a step may differ from a whole turn when a joint wraps."""
 
 
-@dataclass(frozen=True, eq=False)
-class Named:
+class Named(NamedTuple):
     """The messages, by their rows (k,), with these joints in this order."""
 
     names: tuple[str, ...]
     rows: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Signal:
+class Signal(NamedTuple):
     """Rows (m,) into the messages read · stamp_ns (m,) or None · values (m,D) · names (D,) · rejected by reason.
 
     sets: the messages by the joints they name, the most frequent first.
@@ -35,7 +33,7 @@ class Signal:
     stamp_ns: Array | None
     values: Array
     names: tuple[str, ...]
-    rejected: Mapping[str, int] = field(default_factory=dict)
+    rejected: Mapping[str, int]
     sets: tuple[Named, ...] = ()
 
 
@@ -83,7 +81,7 @@ def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, ev
         good.append((rows, stamps, names, positions))
     order = _order([names for _, _, names, _ in good], wanted, what, every)
     values = [_by_name(names, positions, order) for _, _, names, positions in good]
-    return replace(_joined([(r, s) for r, s, _, _ in good], values, order, rejected), sets=_sets(good))
+    return _joined([(r, s) for r, s, _, _ in good], values, order, rejected)._replace(sets=_sets(good))
 
 
 def _sets(good: Sequence[tuple[Array, Array | None, tuple[str, ...], Array]]) -> tuple[Named, ...]:

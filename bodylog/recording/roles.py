@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from ..errors import BodylogError, ConfigError, LogError
 from ..logs.decode.columns import definition_of
@@ -31,8 +31,7 @@ _DEPTH = re.compile(r"depth|disparity|mask|segment", re.IGNORECASE)
 _GREY = re.compile(r"mono|gr[ae]y|infra|(^|[/_])ir([/_\d]|$)", re.IGNORECASE)
 
 
-@dataclass(frozen=True, eq=False)
-class Role:
+class Role(NamedTuple):
     """One role's source: the topic (several records if it has several schemas) and the field, "" for the message.
 
     `unsure`: guessed from a generic type, so that its values must look like the role's.

@@ -1,7 +1,7 @@
 """A cursor over one CDR or ROS 1 payload that records where each field of the definition begins."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ _RANGE_ALL = IndexRange(0, -1)
 Wanted = Sequence[tuple[int, tuple[Step, ...]]]
 
 
-@dataclass(frozen=True, eq=False)
-class Leaf:
+class Leaf(NamedTuple):
     """One requested field: byte offsets (K,), element dtype · texts, if text · single: neither array nor slice."""
 
     offsets: Array

@@ -2,9 +2,8 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...errors import FormatError
 
@@ -37,8 +36,7 @@ _SIZES = re.compile(r"\[|<\s*\w*\d|,\s*\w*\d\w*\s*>|[-+*/%|^&~]")
 _MOST_TYPES = 10_000
 
 
-@dataclass(frozen=True)
-class Field:
+class Field(NamedTuple):
     """name · type: a primitive, string, time or package/msg/Name · size: None one value, -1 a sequence, n exactly n."""
 
     name: str
@@ -46,8 +44,7 @@ class Field:
     size: int | None
 
 
-@dataclass(frozen=True)
-class Definition:
+class Definition(NamedTuple):
     """The root type and the fields of every type it needs; bytes per wstring character, or 0 if unknown."""
 
     root: str

@@ -1,8 +1,7 @@
 """Gather the bytes of many messages as rows, compare them, view them as numbers."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,8 +14,7 @@ _BYTES = 1 << 20
 """Rows to compare at a time, and the most bytes of copies of their template."""
 
 
-@dataclass(frozen=True, eq=False)
-class Template:
+class Template(NamedTuple):
     """A layout prepared to compare `block` rows at a time, `words` times eight bytes each, with its constants.
 
     mask, reference (block · words,): which bits are constant, and their values.

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from ...errors import ConfigError, FormatError
 from .cursor import CdrCursor, Leaf, Payload
@@ -13,8 +13,7 @@ from .message_path import Only, Step, is_index
 _PADDING = 4
 
 
-@dataclass(frozen=True, eq=False)
-class Layout:
+class Layout(NamedTuple):
     """One layout: bytes examined, the (start, stop) byte ranges that define it, the requested leaves."""
 
     width: int
@@ -91,7 +90,7 @@ def widened(definition: Definition, payload: Payload, ros1: bool) -> list[Defini
     fits: dict[int, list[Definition]] = {}
     unknown = not definition.wide and any(f.type == "wstring" for some in definition.types.values() for f in some)
     for size in (1, 2, 4) if unknown else ():
-        sized = replace(definition, wide=size)
+        sized = definition._replace(wide=size)
         with suppress(FormatError):
             fits.setdefault(rest(sized, payload, ros1), []).append(sized)
     least = min(fits, default=_PADDING)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from ...errors import ConfigError
 
@@ -14,8 +14,7 @@ _STEP = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class IndexRange:
+class IndexRange(NamedTuple):
     """Elements first to last, both included, as in Foxglove; negative ones count from the end."""
 
     first: int
@@ -27,8 +26,7 @@ class IndexRange:
         return range(max(first, 0), min(last + 1, count))
 
 
-@dataclass(frozen=True)
-class Only:
+class Only(NamedTuple):
     """Elements whose `field` equals `value`."""
 
     field: str
@@ -38,8 +36,7 @@ class Only:
 Step = str | IndexRange | Only
 
 
-@dataclass(frozen=True)
-class Path:
+class Path(NamedTuple):
     """A topic and the steps from its message down to values; no steps: the whole message."""
 
     topic: str

@@ -1,8 +1,7 @@
 """Positions of values in JSON and protobuf messages: a message of positions that message paths can follow."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -67,8 +66,7 @@ class Opaque:
     """Bytes, which are neither compared nor read by position."""
 
 
-@dataclass(frozen=True, eq=False)
-class Time:
+class Time(NamedTuple):
     """A stamp in two places, or constants."""
 
     seconds: Any

@@ -1,32 +1,29 @@
 """The result of decoding a topic: its columns, in parts of messages with equally many values."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..records import Array
 
 
-@dataclass(frozen=True, eq=False)
-class Part:
+class Part(NamedTuple):
     """Messages with equally many values: rows (m,) into the columns · per field an array (m,) or (m,K), or texts."""
 
     rows: Array
     values: tuple[Array | tuple[str, ...], ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Columns:
+class Columns(NamedTuple):
     """Fields of one topic: log_ns (n,) of every message in file order, parts that cover the sound ones, counts."""
 
     fields: tuple[str, ...]
     log_ns: Array
     parts: tuple[Part, ...]
-    fast: int = 0
-    fallback: int = 0
-    rejected: Mapping[str, int] = field(default_factory=dict)
+    fast: int
+    fallback: int
+    rejected: Mapping[str, int]
 
     @property
     def sound(self) -> Array:

@@ -1,10 +1,9 @@
 """A video file beside the log as a camera."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,8 +14,7 @@ _DATES = 1e8
 """s: larger times count from 1970, smaller ones from a start that the table does not give."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sidecar:
+class Sidecar(NamedTuple):
     """A video: its file, frames per second, declared number of frames, and their times t (K,) s from a table."""
 
     path: Path

@@ -2,9 +2,8 @@
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...errors import FormatError
 
@@ -69,8 +68,7 @@ def _plan(fields: str) -> tuple[tuple[str, tuple[str, ...], struct.Struct], ...]
 _PLANS = {opcode: _plan(fields) for opcode, (_, fields) in FIELDS.items()}
 
 
-@dataclass(frozen=True)
-class Record:
+class Record(NamedTuple):
     """One record: opcode, start in its file or chunk, and fields by name."""
 
     opcode: int
