@@ -83,7 +83,8 @@ class _Heads(NamedTuple):
 
 def payloads(batch: Batch) -> Iterator[memoryview]:
     """The payload of each message of a batch as a view, valid as long as the batch."""
-    return map(batch.data.data.__getitem__, map(slice, batch.offset.tolist(), (batch.offset + batch.length).tolist()))
+    data, ends = batch.data.data, batch.offset + batch.length
+    return (data[start:end] for start, end in zip(batch.offset.tolist(), ends.tolist(), strict=True))
 
 
 def _describe(first: bytes) -> str:

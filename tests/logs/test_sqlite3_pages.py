@@ -9,6 +9,7 @@ import pytest
 
 from bodylog.errors import BodylogError
 from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.rosbag2 import pages
 from bodylog.logs.rosbag2 import rows as sqlite_rows
 from bodylog.logs.rosbag2 import sqlite3 as sqlite
 from fixtures.by_hand import db3
@@ -38,7 +39,8 @@ def everything(path: Path, topics=None):
                 for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True)
             ]
             # by topic: pages and rows come in blocks of different lengths, which hold several topics
-            return sorted(found, key=lambda one: one[0]), log.findings == (), log.start_ns, log.end_ns
+            counts = [topic.messages for topic in log.topics]
+            return sorted(found, key=lambda one: one[0]), log.findings == (), log.start_ns, log.end_ns, counts
     except BodylogError as problem:
         return str(problem)
 
@@ -87,6 +89,19 @@ def test_pages_equal_sqlite(tmp_path, by_sqlite, asked, name, count):
     assert not asked or "512" in name  # where a payload of 300 bytes does not fit a page
     assert found == by_sqlite(path)
     assert everything(path, ["/1"]) == by_sqlite(path, ["/1"])
+
+
+def test_rows_of_short_databases_are_read_once(tmp_path, monkeypatch):
+    path = tmp_path / "x.db3"
+    db3(path, rows(random.Random(2), 3000, 300), TYPE, None)
+    with monkeypatch.context() as long:
+        long.setattr(pages, "_SHORT", path.stat().st_size - 1)
+        expected = everything(path)
+    read, plain = [], pages.Pages._read
+    monkeypatch.setattr(pages.Pages, "_read", lambda self, leaves: read.extend(leaves.tolist()) or plain(self, leaves))
+    monkeypatch.setattr(sqlite.Db3Log, "_counts", lambda *_: pytest.fail("counted by SQLite"))
+    assert everything(path) == expected
+    assert 0 < len(read) == len(set(read))
 
 
 ODD = {

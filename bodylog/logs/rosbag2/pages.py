@@ -17,6 +17,9 @@ _INTERIOR, _LEAF = 5, 13
 _HEAD = {_INTERIOR: 12, _LEAF: 8}
 _FIRST_HEAD = 100
 _DEEPEST = 20
+_SHORT = 64 << 20
+"""Bytes of a database whose rows are kept once they are read: they are counted first."""
+
 _TOGETHER = 256
 _VARINT, _EIGHT, _WINDOW = 8, 8, 24
 _SIZES = np.array([0, 1, 2, 3, 4, 6, 8, 0, 0, 0], np.int64)
@@ -49,9 +52,21 @@ class Pages:
         if self._size < 512 or self._size & (self._size - 1) or self._usable < 480:
             raise FormatError(f"pages of {self._size} bytes")
         self._root = root
+        self.short = len(data) <= _SHORT
+        self._kept: list[Rows] | None = None
 
     def rows(self) -> Iterator[Rows]:
         """All rows in order, some pages at a time; FormatError at the first page that SQLite must read."""
+        if self._kept is not None:
+            yield from self._kept
+            return
+        kept = []
+        for found in self._rows():
+            yield found
+            kept += [found] if self.short else []
+        self._kept = kept if self.short else None
+
+    def _rows(self) -> Iterator[Rows]:
         leaves = self._leaves()
         last = -(1 << 63)
         for at in range(0, len(leaves), _TOGETHER):
@@ -69,11 +84,8 @@ class Pages:
             seen += len(level)
             if (level < 2).any() or (level > self._count).any() or seen > self._count:
                 raise FormatError("a page that is not there")
-            kinds = self.data[(level - 1) * self._size]
-            if (kinds == _LEAF).all():
+            if self.data[(level[0] - 1) * self._size] == _LEAF:
                 return level
-            if (kinds != _INTERIOR).any():
-                raise FormatError("leaves of several depths, or another kind of tree")
             level = np.concatenate([self._children(page) for page in level.tolist()])
         raise FormatError("too deep a tree")
 
@@ -84,6 +96,8 @@ class Pages:
 
     def _cells(self, base: Array, kind: int) -> tuple[Array, Array]:
         """Where the cells of pages that begin at `base` (p,) are, and where each cell's page ends."""
+        if (self.data[base] != kind).any():
+            raise FormatError("leaves of several depths, or another kind of tree")
         counts = self._number(base + 3, 2)
         bases = np.repeat(base, counts)
         number = np.arange(len(bases)) - np.repeat(np.cumsum(counts) - counts, counts)

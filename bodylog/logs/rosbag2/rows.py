@@ -3,6 +3,7 @@
 import sqlite3
 import time
 from array import array
+from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
@@ -56,6 +57,24 @@ class Rows:
     def __init__(self, store: sqlite3.Connection, diagnostics: Diagnostics, pages: Pages | None = None) -> None:
         """For an open database, and its pages if they can be read directly."""
         self._store, self._diagnostics, self._pages = store, diagnostics, pages
+
+    def survey(self) -> tuple[dict[int, int], int, int] | None:
+        """Messages by topic id in the file, first and last log time (ns), of rows that are kept for `blocks`.
+
+        None for a database that is long, damaged, or not laid out as rosbag2 does.
+        """
+        if self._pages is None or not self._pages.short:
+            return None
+        try:
+            found = list(self._pages.rows())
+        except FormatError:
+            return None
+        counts: Counter[int] = Counter()
+        for some in found:
+            numbers, times = np.unique(some.topic, return_counts=True)
+            counts.update(dict(zip(numbers.tolist(), times.tolist(), strict=True)))
+        ends = [int(ns) for some in found for ns in (some.log_ns.min(), some.log_ns.max())]
+        return dict(counts), min(ends, default=0), max(ends, default=0)
 
     def blocks(self, wanted: Collection[int] | None) -> Iterator[Block]:
         """The rows of these topics in the order stored; unreadable rows are skipped and recorded as losses."""

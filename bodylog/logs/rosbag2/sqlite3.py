@@ -92,6 +92,8 @@ class Db3Log:
 
     def _survey(self, numbers: list[int]) -> tuple[dict[int, int], int, int]:
         """Messages by topic id in the file, first and last log time (ns)."""
+        if (found := self._rows.survey()) is not None:
+            return found
         try:
             counts = self._counts(numbers)
             if self._store.execute("PRAGMA index_list(messages)").fetchall():  # two look-ups instead of a scan
@@ -208,6 +210,7 @@ def _standard(kind: str) -> tuple[bytes, str]:
 
 
 def _batches(block: Block, wanted: dict[int, int]) -> Iterator[Batch]:
-    numbers, where = np.unique(block.topic, return_inverse=True)
-    topic = np.array([wanted.get(number, -1) for number in numbers.tolist()], np.int64)[where]
+    numbers = np.unique(block.topic)
+    topic = np.array([wanted.get(number, -1) for number in numbers.tolist()], np.int64)
+    topic = topic[np.searchsorted(numbers, block.topic)]
     return split(topic, block.log_ns, block.data, block.offset, block.length)
