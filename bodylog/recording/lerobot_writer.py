@@ -1,7 +1,7 @@
 """Write logs as a LeRobot dataset, v3.0 or v2.1: one episode each, with the times of every row and image."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,8 @@ from .dataset_rows import Feature, Rows, View, rows
 
 V3, V21 = FORMS = "lerobot", "lerobot-2.1"
 STAMP = ".stamp_ns"
+_TOLERANCE = 1e-4
+"""s: LeRobot rejects images that are further from frame_index / fps."""
 _CHUNK = 1000
 _WHOLE = ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "bool")
 _PATHS = {
@@ -89,8 +91,8 @@ def _episode(done: _Written, found: Rows, log: Path) -> Sequence[Finding]:
     done.features, done.fps, done.robot = features, found.fps, found.robot
     keys = _keys(done.form, number)
     task = done.tasks.setdefault(found.task, len(done.tasks))
-    t = (found.ns - found.ns[0]) / 1e9
-    counted = {
+    t = np.arange(count) / found.fps  # LeRobot finds image k of a video as frame round(t * fps)
+    counted: dict[str, Array] = {
         "timestamp": t.astype(np.float32), "frame_index": np.arange(count),
         "episode_index": np.full(count, number), "index": done.frames + np.arange(count),
         "task_index": np.full(count, task),
@@ -101,13 +103,22 @@ def _episode(done: _Written, found: Rows, log: Path) -> Sequence[Finding]:
         row |= {"dataset_from_index": done.frames, "dataset_to_index": done.frames + count}
         row |= {f"data/{name}": keys[name] for name in ("chunk_index", "file_index")}
     stats = {name: of_numbers(values) for name, values in (columns | counted).items()}
-    findings = list(found.findings)
+    findings = [*found.findings, *_regular(found, t, log)]
     for name, view in found.views.items():
         findings += _video(done, name, view, t, keys, row, stats, log)
     done.episodes.append(row)
     done.stats.append(stats)
     done.frames += count
     return findings
+
+
+def _regular(found: Rows, t: Array, log: Path) -> Iterator[Finding]:
+    """A remark where the rows' times are not those (s) that LeRobot expects."""
+    apart = float(np.abs((found.ns - found.ns[0]) / 1e9 - t).max(initial=0.0))
+    if apart > _TOLERANCE:
+        severity = "warning" if apart > 0.5 / found.fps else "info"
+        text = f"timestamp is frame_index / {found.fps:g}, as LeRobot needs it; the rows' times differ by up to"
+        yield Finding(severity, f"{log}: {text} {apart:.3g} s, and are kept in NAME{STAMP}")
 
 
 def _keys(form: str, number: int) -> dict[str, Any]:

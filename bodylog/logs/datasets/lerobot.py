@@ -94,7 +94,8 @@ def _episode(known: Layout, number: int, findings: list[Finding], limits: Input)
     streams += _tasks(known, found, ns)
     for name, about in known.features.items():
         if about.get("dtype") in ("video", "image"):
-            streams += _camera(name, known, number, _stamps(stamps, name, ns), where, findings, limits)
+            own = _stamps(stamps, name, ns)
+            streams += _camera(name, known, number, own, _shown(found.get("timestamp"), ns), where, findings, limits)
     length = known.rows[number].get("length")
     return Episode(f"lerobot {known.version}", streams, findings, length if isinstance(length, int) else None)
 
@@ -118,6 +119,13 @@ def _stamps(stamps: Mapping[str, Array | None], name: str, ns: Array) -> Array:
     """The feature's own times if the dataset has them, else the rows'."""
     own = stamps.get(f"{name}{_STAMP}")
     return ns if own is None else times(own)
+
+
+def _shown(t: Array | None, ns: Array) -> Array:
+    """Times (N,) s at which a video shows the rows: `timestamp`, which need not be their stamps; else their times."""
+    if t is not None and t.shape == (len(ns), 1) and np.isfinite(t).all():
+        return np.asarray(t[:, 0] - t[:1, 0])
+    return np.asarray((ns - ns[:1]) / 1e9)
 
 
 def _signal(name: str, known: Layout, values: Array | None, ns: Array, findings: list[Finding]) -> Iterator[Signal]:
@@ -179,8 +187,8 @@ def _tasks(known: Layout, found: Mapping[str, Array | None], ns: Array) -> Itera
 
 
 def _camera(
-    name: str, known: Layout, number: int, ns: Array, where: Sequence[tuple[int, int]], findings: list[Finding],
-    limits: Input,
+    name: str, known: Layout, number: int, ns: Array, shown: Array, where: Sequence[tuple[int, int]],
+    findings: list[Finding], limits: Input,
 ) -> Iterator[Camera]:  # fmt: skip
     about = known.features[name]
     topic, metadata = f"/{escape(name.removeprefix('observation.images.').replace('.', '/'))}", {FEATURE: name}
@@ -202,7 +210,7 @@ def _camera(
         return
     first, last = _within(film, part.start, part.end, known.fps)
     t = film.t[first:last] - (film.t[first] if last > first else 0.0)
-    times, more = _dated(name, t, ns, known.fps)
+    times, more = _dated(name, t, ns, shown, known.fps)
     findings += more
     reader: Callable[[], Iterator[Item]] = partial(_of_video, film, first, last)
     yield Camera(f"{topic}/image", times, reader, (film.width, film.height), "", metadata)
@@ -224,14 +232,13 @@ def _within(film: video.Video, start: float, end: float | None, fps: float) -> t
     return first, len(film.t) if end is None else int(np.searchsorted(film.t, end - margin))
 
 
-def _dated(name: str, t: Array, ns: Array, fps: float) -> tuple[Array, list[Finding]]:
-    """Times (ns) of the frames shown at t (K,) s: frame k has the time of row k if the counts agree."""
+def _dated(name: str, t: Array, ns: Array, shown: Array, fps: float) -> tuple[Array, list[Finding]]:
+    """Times (ns) of frames at t (K,) s in a video: frame k has the time of row k, `shown` then, if the counts agree."""
     if len(t) != len(ns):
         less = "lost" if len(t) < len(ns) else "warning"
         text = f"{name}: the video has {len(t)} frames, the table {len(ns)} rows; frames are dated by the video"
         return (ns[0] if len(ns) else EPOCH_NS) + np.rint(t * 1e9).astype(np.int64), [Finding(less, text)]
-    apart = t - (ns - ns[0]) / 1e9 if len(ns) else t
-    worst = float(np.abs(apart).max(initial=0.0))
+    worst = float(np.abs(t - shown).max(initial=0.0))
     if worst <= 0.5 / fps:
         return ns, []
     text = f"{name}: the video's times and the table's drift apart, by up to {worst:.3g} s; frame k is dated by row k"

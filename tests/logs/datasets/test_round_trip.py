@@ -9,6 +9,7 @@ import pytest
 import bodylog.logs as logs
 from bodylog import pipeline
 from bodylog.errors import FormatError, LogError, UsageError
+from bodylog.logs.datasets import video
 from bodylog.logs.formats import open_log
 from bodylog.recording.dataset_rows import nearest
 from bodylog.settings import Settings
@@ -145,6 +146,12 @@ def test_convert_keeps_a_logs_own_times(tmp_path):
         np.testing.assert_array_equal(old.position[which], new.position)
         np.testing.assert_array_equal(a["/arm/command"].position[which], b["/action"].position)
         assert np.abs(new.header.stamp - [x.source_ns for x, _ in frames]).max() <= 5_000_000
+        assert not [one.text for one in b.findings if "drift apart" in one.text]
+    assert "timestamp is frame_index / 31.25, as LeRobot needs it; the rows' times differ by up to" in reported
+    rows = pytest.importorskip("pyarrow.parquet").read_table(tmp_path / "new/data/chunk-000/file-000.parquet")
+    np.testing.assert_allclose(rows["timestamp"], np.arange(30) / 31.25, atol=1e-6)
+    (film,) = (tmp_path / "new/videos").rglob("*.mp4")
+    np.testing.assert_allclose(video.survey(film, 1.0).t, np.arange(30) / 31.25, atol=1e-6)
     info = json.loads((tmp_path / "new/meta/info.json").read_text())
     assert info["features"]["observation.state"]["dtype"] == "float64"  # in float32 they would not be the same
     assert info["features"]["observation.state"]["unit"] == "rad"
