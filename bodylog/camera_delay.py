@@ -6,6 +6,7 @@ from math import sqrt
 from typing import TYPE_CHECKING, Any
 
 from .body_model import BodyModel, ForwardModel
+from .errors import EvidenceError
 from .settings import Settings
 from .types import Array, Features, Finding
 
@@ -46,18 +47,72 @@ def learned(
     from . import body
     from .estimation.timing import correction
 
-    def turned(late: Sequence[Delays], own: Delays) -> _Turn:
-        timely = [correction.shifted(found, delays) for found, delays in zip(features, late, strict=True)]
-        origin = {**provenance, **({"delay": dict(own)} if own else {})}
-        found = body.learn(timely, settings, origin, known, robot is not None)
-        sure = replace(found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor})
-        return _Turn(found, late, [_remaining_delays(one, sure, known) for one in timely], own)
-
     if all(found.poses for found in features):
         found = body.learn(features, settings, provenance, known, robot is not None)
         return body.with_kinematics(features, settings, found, robot, known)
     cameras = correction.cameras([name for found in features for name in found.tracks])
     fixed = correction.fixed_delays(settings.time.delay, cameras)
+    turn, started = _converged(features, settings, provenance, known, robot is not None, fixed)
+    timely = [correction.shifted(found, delays) for found, delays in zip(features, turn.late, strict=True)]
+    found = body.with_kinematics(timely, settings, turn.found, robot, known)
+    return replace(found, findings=(*_delay_findings(turn, fixed, started), *found.findings))
+
+
+def measured(features: Features, settings: Settings) -> "tuple[dict[str, Delay], dict[str, Delay]]":
+    """Delays of a log's cameras relative to its encoders, by a body learned from the log itself.
+
+    The second ones are unclear: their correction does not make the body better. EvidenceError without a body.
+    """
+    from .estimation.timing import correction
+    from .estimation.timing.regression import Delay
+
+    start = _coarse(features)
+    try:
+        turn, started = _converged([correction.shifted(features, start)], settings, {}, None, False, {})
+    except EvidenceError:
+        if not any(start.values()):
+            raise
+        start = {}
+        turn, started = _converged([features], settings, {}, None, False, {})
+    found, unclear = dict[str, Delay](), dict[str, Delay]()
+    for name, rest in turn.residuals[0].items():
+        late = start.get(name, 0.0) + turn.late[0].get(name, 0.0) + rest.seconds
+        clear = name in started or not correction.significant(rest)
+        (found if clear else unclear)[name] = Delay(late, rest.std_error, 0.5 * (late / rest.std_error) ** 2)
+    return found, unclear
+
+
+def _coarse(features: Features) -> dict[str, float]:
+    """Delays (s) by camera to start from, to about 0.05 s; 0 where they are unclear."""
+    import numpy as np
+
+    from .estimation.measurements.gather import camera
+    from .perception.tracking import joint_motion
+
+    found = dict[str, list[float]]()
+    for name, track in features.tracks.items():
+        seen = np.isfinite(track.values).all(axis=1)
+        if name.rpartition("/")[2] != "hand" and seen.sum() > 1 and features.picture_size is not None:
+            late = joint_motion.delay(features.joints, track.t[seen], track.values[seen], features.picture_size[0])
+            found.setdefault(camera(name), []).append(late)
+    return {name: float(np.median(late)) for name, late in found.items()}
+
+
+def _converged(
+    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], known: BodyModel | None,
+    hopeful: bool, fixed: Delays,
+) -> tuple[_Turn, set[str]]:  # fmt: skip
+    """The last turn of learning and correcting by turns, and the cameras whose delay was corrected."""
+    from . import body
+    from .estimation.timing import correction
+
+    def turned(late: Sequence[Delays], own: Delays) -> _Turn:
+        timely = [correction.shifted(found, delays) for found, delays in zip(features, late, strict=True)]
+        origin = {**provenance, **({"delay": dict(own)} if own else {})}
+        found = body.learn(timely, settings, origin, known, hopeful)
+        sure = replace(found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor})
+        return _Turn(found, late, [_remaining_delays(one, sure, known) for one in timely], own)
+
     own = {} if known is None else {k: v for k, v in correction.learned_delays(known).items() if k not in fixed}
     started, given = set[str](), {name: delay for name, delay in fixed.items() if delay}
     turn = turned([{**own, **fixed} for _ in features], {**own, **given})
@@ -69,9 +124,7 @@ def learned(
         if _missed(after, surest) > least * _missed(turn, surest):
             break
         turn, started = after, started | set(surest)
-    timely = [correction.shifted(found, delays) for found, delays in zip(features, turn.late, strict=True)]
-    found = body.with_kinematics(timely, settings, turn.found, robot, known)
-    return replace(found, findings=(*_delay_findings(turn, fixed, started), *found.findings))
+    return turn, started
 
 
 def _delay_findings(turn: _Turn, fixed: Delays, started: set[str]) -> Iterator[Finding]:

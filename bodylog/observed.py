@@ -33,6 +33,11 @@ def still_poses(read: Recording, settings: Settings, progress: Progress | None) 
     return replace(carried, cameras=_cameras(read), strokes=(), synchrony=())
 
 
+def completed(read: Recording, found: Features) -> Features:
+    """Features with the recording's joints."""
+    return replace(found, joints=read.joints, reference=read.reference, poses=read.poses, beside=read.beside)
+
+
 def _cameras(read: Recording) -> dict[str, str]:
     """The topics of the cameras by name, "" for the first."""
     roles = {role.partition("/"): path for role, path in read.roles.items()}

@@ -23,9 +23,9 @@ from .fault_findings import fault_warnings, sighting_findings, truth_findings
 from .io.atomic_files import sha256
 from .io.outputs import Output
 from .joints_only import joints_alone, without_body
-from .logs.limits import LIMITS, Input
+from .logs.limits import LIMITS
 from .logs.protocol import Progress
-from .observed import moving, still_poses
+from .observed import completed, moving, still_poses
 from .result import Result as Result
 from .result import estimate_result
 from .scoring import against, score_estimate, with_true_poses
@@ -61,7 +61,7 @@ def observe(
     found = look(read, settings, progress)
     if guess:
         read, found = default_features.guessed(log, read, found, settings, partial(look, progress=progress))
-    return read, replace(found, joints=read.joints, reference=read.reference, poses=read.poses, beside=read.beside)
+    return read, completed(read, found)
 
 
 def extract(
@@ -260,17 +260,21 @@ def convert(
     return Result(out, findings=conversion.convert(logs[0], out, topics, progress=progress, **window))
 
 
-def doctor(log: Path, repair: Path | None = None, strict: bool = False, limits: Input = LIMITS,
-           progress: Progress | None = None) -> Result:  # fmt: skip
-    """What is wrong with a log; with `repair`, what is sound of it is written there; `strict`: LogError at a loss."""
+def doctor(log: Path, repair: Path | None = None, settings: Settings | None = None, progress: Progress | None = None,
+           body: Path | None = None) -> Result:  # fmt: skip
+    """What is wrong with a log, with settings its camera delays too (see delay_findings); `repair`: a sound copy."""
+    from . import delay_findings
+    from .body import storage
     from .logs.conversion import examination as logs_doctor
 
-    if repair is not None:
-        distinct([log], [Output(repair, "--repair")])
-    findings = logs_doctor.examine(log, strict, limits, progress)
+    limits = LIMITS if settings is None else settings.input
+    distinct([log, *(() if body is None else [body])], [] if repair is None else [Output(repair, "--repair")])
+    known = None if body is None else storage.load(body)
+    findings = logs_doctor.examine(log, limits.strict, limits, progress)
+    late = delay_findings.Examined() if settings is None else delay_findings.examine(log, known, settings)
     if repair is not None:
         logs_doctor.repair(log, repair, limits)
-    return Result(repair, findings=findings)
+    return Result(repair, late.scores, findings=(*findings, *late.findings))
 
 
 def folders(option: str, *paths: Path | None) -> tuple[Output, ...]:

@@ -17,7 +17,7 @@ FIGURES: Mapping[str, str] = {
     "process_noise/acceleration": "rad²/s³", "process_noise/jerk": "rad²/s⁵", "variance_factor": "1",
     "range": "rad", "influence": "px", "length_scale": "rad",
     "offset": "rad", "std/offset": "rad", "scale": "1", "std/scale": "1",
-    "faults": "1", "fault": "", "delay": "s",
+    "faults": "1", "fault": "", "delay": "s", "std/delay": "s",
 }  # fmt: skip
 """Unit of each figure; a linear joint's offset is in m, a fault's size in its own unit."""
 RENAMED: Mapping[str, str] = {

@@ -41,7 +41,7 @@ LAYERS = (
     {"observed", "written_messages"},
     {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "joint_zeros",
      "joints_only", "online", "scoring", "verdict"},
-    {"result"},
+    {"delay_findings", "result"},
     {"pipeline"},
     {"compare", "views"},
     {"batch", "experiments"},

@@ -164,15 +164,16 @@ def delay_findings(
             late, given = delay + residual.seconds, f"--delay {name}={delay:g}" if delay else "not corrected"
             better = f"{late:.4f}" if abs(late) > SURE * residual.std_error else "0"
             advice = f"error bars are too small for that; type --delay {name}={better}"
-            yield Finding("warning", f"{name}: {_worded(late, residual.std_error)} ({given}): {advice}")
+            yield Finding("warning", f"{name}: {worded(late, residual.std_error)} ({given}): {advice}")
         elif name in errors:
             advice = f"type --delay {name}={delay:.4f} to confirm it, --delay off to keep the timestamps"
-            yield Finding("warning", f"{name}: {_worded(delay, errors[name])}, corrected; {advice}")
+            yield Finding("warning", f"{name}: {worded(delay, errors[name])}, corrected; {advice}")
         elif name not in fixed and delay:
-            yield Finding("info", f"{name}: {_worded(delay)}, as in the exploration log, corrected")
+            yield Finding("info", f"{name}: {worded(delay)}, as in the exploration log, corrected")
 
 
-def _worded(seconds: float, error: float | None = None) -> str:
+def worded(seconds: float, error: float | None = None) -> str:
+    """How late image timestamps are, ± their standard error (s)."""
     about = "" if error is None else f" ± {error:.4f}"
     return f"image timestamps {'lag' if seconds > 0 else 'lead'} the encoders by {abs(seconds):.4f}{about} s"
 

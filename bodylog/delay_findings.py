@@ -1,0 +1,168 @@
+"""Whether a log's images are late against its joints: by a body, or by one learned from the log itself."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
+from math import ceil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .body_model import BodyModel
+from .checks import same_camera, same_size
+from .default_features import guessed, of_body
+from .errors import InputError
+from .observed import completed, moving
+from .settings import Settings
+from .types import Features, Finding, Frame, Recording, Score, Series
+
+if TYPE_CHECKING:
+    from .estimation.timing.regression import Delay
+
+LONGEST = 60.0
+"""s in the middle of a log that are used: a delay is known to milliseconds after 20 s of motion."""
+MOST = 600
+"""Most images of each camera that are searched, evenly spread."""
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """Delays of cameras with standard errors (s) as scores, and what was found about them."""
+
+    scores: tuple[Score, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+
+def examine(log: Path, body: BodyModel | None, settings: Settings) -> Examined:
+    """How late each camera's timestamps are relative to the encoders; nothing with `delay` off.
+
+    With a body, InputError where its cameras are not those of the log; without one, a finding says what is missing.
+    """
+    if settings.time.delay == "off":
+        return Examined()
+    try:
+        return _examined(log, body, settings)
+    except InputError as problem:
+        if body is not None:
+            raise
+        text = str(problem).removeprefix(f"{log}: ").partition("; ")[0]
+        return Examined((), (Finding("info", f"{log}: camera delays are not measured: {text}"),))
+
+
+def _examined(log: Path, body: BodyModel | None, settings: Settings) -> Examined:
+    from . import camera_delay
+    from .estimation.timing import correction
+
+    settings = settings if body is None else of_body(body, settings)
+    read, features = _middle_observed(log, settings, body is None)
+    if features.joints is None or features.poses or (read.frames is None and not features.tracks):
+        text = f"{log}: camera delays are not measured: it has no moving joints with images"
+        return Examined((), () if body is None else (Finding("info", text),))
+    names = correction.cameras([*features.tracks, *(() if body is None else body.senses)])
+    expected = {**({} if body is None else correction.learned_delays(body)), **_given(settings, names)}
+    timely = correction.shifted(features, expected)
+    if body is None:
+        found, unclear = camera_delay.measured(timely, read.settings)
+    else:
+        same_camera(log, body.provenance.get("cameras", ()), read, features)
+        same_size(log, body, features, settings)
+        found, unclear = correction.measured_delays(timely, body), {}
+    by = "learned from this log" if body is None else "given"
+    some = (*_findings(found, expected, by), *_unmeasured(names, found, unclear, expected))
+    texts = [replace(one, text=f"{log}: {one.text}") for one in some]
+    return Examined(tuple(_scores(found, expected)), tuple(texts))
+
+
+def _given(settings: Settings, names: tuple[str, ...]) -> dict[str, float]:
+    """Delays (s) that the settings give."""
+    from .estimation.timing import correction
+
+    return correction.fixed_delays(settings.time.delay, names)
+
+
+def _scores(found: "Mapping[str, Delay]", expected: Mapping[str, float]) -> Iterator[Score]:
+    for name, rest in found.items():
+        yield Score(f"delay/{name}", expected.get(name, 0.0) + rest.seconds, "s")
+        yield Score(f"std/delay/{name}", rest.std_error, "s")
+
+
+def _findings(found: "Mapping[str, Delay]", expected: Mapping[str, float], by: str) -> Iterator[Finding]:
+    """A warning for each delay that differs from the expected one (s), else information."""
+    from .estimation.timing import correction
+
+    for name, rest in found.items():
+        known = expected.get(name, 0.0)
+        text = f"{name}: {correction.worded(known + rest.seconds, rest.std_error)}, by the body {by}"
+        if not correction.significant(rest):
+            yield Finding("info", f"{text}; {f'{known:g} s is expected' if known else 'not significant'}")
+        elif name in expected:
+            yield Finding("warning", f"{text}, not {known:g} s; type --delay {name}={known + rest.seconds:.4f}")
+        else:
+            yield Finding("warning", f"{text}; fit and estimate measure and correct it")
+
+
+def _unmeasured(
+    names: tuple[str, ...], found: "Mapping[str, Delay]", unclear: "Mapping[str, Delay]", expected: Mapping[str, float]
+) -> Iterator[Finding]:
+    """Information on each camera without a delay."""
+    from .estimation.timing import correction
+
+    for name in (name for name in names if name not in found):
+        if name in unclear:
+            text = correction.worded(expected.get(name, 0.0) + unclear[name].seconds, unclear[name].std_error)
+            why = f"perhaps {text}, but the body is no better with that"
+        else:
+            why = "its images and the joints move too little, or not together"
+        yield Finding("info", f"{name}: delay not measured: {why}; with a body: bodylog doctor LOG --body BODY.npz")
+
+
+def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Recording, Features]:
+    """The middle of a log and what perception finds in it; `guess`: as pipeline.observe."""
+    from .recording import recording
+
+    read = _middle(recording.read(log, settings, settings.input.strict))
+    look = partial(moving, progress=None)
+    found = look(read, settings)
+    if guess:
+        read, found = guessed(log, read, found, settings, look)
+    return read, completed(read, found)
+
+
+def _middle(read: Recording) -> Recording:
+    """The middle `LONGEST` s of a recording, with at most `MOST` images of each camera."""
+    spare = max(0.0, 0.5 * (read.duration_s - LONGEST))
+    begin, end = spare, read.duration_s - spare
+    films = {"": read.frames, **read.views}
+    counts = {name: _count(read, name) * min(1.0, LONGEST / max(read.duration_s, LONGEST)) for name in films}
+    few = {
+        name: partial(_some, film, begin, end, max(1, ceil(counts[name] / MOST)))
+        for name, film in films.items()
+        if film is not None
+    }
+    return replace(
+        read,
+        frames=few.pop("", None),
+        views=few,
+        joints=None if read.joints is None else _between(read.joints, begin, end),
+        reference=None if read.reference is None else _between(read.reference, begin, end),
+    )
+
+
+def _count(read: Recording, camera: str) -> int:
+    """Images of a camera by its name, "" the first."""
+    source = read.roles.get(f"camera/{camera}".strip("/"), "")
+    health = read.health.get(source)
+    return 0 if health is None else health.used
+
+
+def _some(film: Callable[[], Iterator[Frame]], begin: float, end: float, every: int) -> Iterator[Frame]:
+    """Every `every`-th frame from begin to end (s)."""
+    inside = (frame for frame in film() if begin <= frame.t <= end)
+    return islice(inside, 0, None, every)
+
+
+def _between(series: Series, begin: float, end: float) -> Series:
+    """The rows from begin to end (s)."""
+    rows = (series.t >= begin) & (series.t <= end)
+    std = None if series.std is None else series.std[rows]
+    return replace(series, t=series.t[rows], values=series.values[rows], source_ns=series.source_ns[rows], std=std)

@@ -1,0 +1,115 @@
+"""`doctor` measures how late a log's images are, with and without a body, and accuses no sound log."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bodylog.logs as logs
+from bodylog import delay_findings, pipeline
+from bodylog.settings import Settings, Time
+
+ARM = Path(__file__).parents[1] / "fixtures" / "arm"
+IMAGES = "/camera/color/image_raw/compressed"
+JOINT_STATE, COMPRESSED = "sensor_msgs/msg/JointState", "sensor_msgs/msg/CompressedImage"
+
+
+def shifted(source: Path, out: Path, seconds: float = 0.0, joints: bool = True) -> Path:
+    """A log's joints and images, with the images' stamps later by some seconds."""
+    with logs.open(source) as log, logs.Writer(out) as new:
+        table = log["/joint_states"]
+        if joints:
+            columns = {"header.stamp": table.header.stamp, "name": table.name, "position": table.position}
+            new.write("/joint_states", JOINT_STATE, table.log_ns, columns)
+        table, data = log[IMAGES], [bytes(one.value.data) for one in log.messages([IMAGES])]
+        stamps = table.header.stamp + round(1e9 * seconds)
+        new.write(IMAGES, COMPRESSED, table.log_ns, {"header.stamp": stamps, "format": "jpeg", "data": data})
+    return out
+
+
+@pytest.fixture(scope="module")
+def body(tmp_path_factory) -> Path:
+    """The body of the small arm."""
+    path = tmp_path_factory.mktemp("body") / "body.npz"
+    pipeline.fit([ARM / "explore.mcap"], path, Settings())
+    return path
+
+
+def measured(result):
+    """Delay and its standard error, s."""
+    values = {score.name: score.value for score in result.scores}
+    assert {score.unit for score in result.scores} == {"s"}
+    return values["delay/camera"], values["std/delay/camera"]
+
+
+@pytest.mark.parametrize("with_body", [False, True])
+@pytest.mark.parametrize("name", ["explore.mcap", "reach.mcap"])
+def test_doctor_accuses_no_sound_log(name, with_body, body):
+    found = pipeline.doctor(ARM / name, None, Settings(), body=body if with_body else None)
+    late, error = measured(found)
+    assert abs(late) < 3 * error < 0.01
+    (remark,) = found.findings
+    assert remark.severity == "info" and "not significant" in remark.text
+
+
+@pytest.mark.parametrize(("with_body", "seconds"), [(False, 0.08), (False, -0.15), (True, 0.06)])
+def test_doctor_finds_late_images(with_body, seconds, body, tmp_path):
+    log = shifted(ARM / "reach.mcap", tmp_path / "late.mcap", seconds)
+    found = pipeline.doctor(log, None, Settings(), body=body if with_body else None)
+    late, error = measured(found)
+    assert abs(late - seconds) < 3 * error < 0.01
+    (warning,) = (one for one in found.findings if one.severity == "warning")
+    way = "lag" if seconds > 0 else "lead"
+    assert f"camera: image timestamps {way} the encoders by {abs(late):.4f} ± {error:.4f} s" in warning.text
+    assert "fit and estimate measure and correct it" in warning.text
+
+
+def test_doctor_compares_with_the_delay_that_is_given(body, tmp_path):
+    log = shifted(ARM / "reach.mcap", tmp_path / "late.mcap", 0.06)
+    for given, severity, text in (({"camera": 0.06}, "info", "0.06 s is expected"),
+                                  ({"camera": 0.0}, "warning", "not 0 s; type --delay camera=0.0")):  # fmt: skip
+        for known in (None, body):
+            found = pipeline.doctor(log, None, Settings(time=Time(delay=given)), body=known)
+            (remark,) = (one for one in found.findings if "image timestamps" in one.text)
+            assert (remark.severity, text in remark.text) == (severity, True), remark
+            assert abs(measured(found)[0] - 0.06) < 0.01
+
+
+def test_doctor_says_why_it_measures_no_delay(body, tmp_path):
+    still = tmp_path / "still.mcap"
+    with logs.open(ARM / "reach.mcap") as log, logs.Writer(still) as new:
+        table, stamps = log["/joint_states"], log[IMAGES].header.stamp
+        columns = {"header.stamp": table.header.stamp, "name": table.name, "position": 0 * table.position}
+        new.write("/joint_states", JOINT_STATE, table.log_ns, columns)
+        data = [bytes(one.value.data) for one in log.messages([IMAGES])]
+        new.write(IMAGES, COMPRESSED, stamps, {"header.stamp": stamps, "format": "jpeg", "data": data})
+    alone = shifted(ARM / "reach.mcap", tmp_path / "alone.mcap", joints=False)
+    assert "not measured: no joint moved" in pipeline.doctor(still, None, Settings()).findings[-1].text
+    assert "camera: delay not measured" in pipeline.doctor(still, None, Settings(), body=body).findings[-1].text
+    assert not pipeline.doctor(alone, None, Settings()).findings
+    assert "no moving joints" in pipeline.doctor(alone, None, Settings(), body=body).findings[-1].text
+
+
+def test_doctor_looks_at_part_of_a_long_log(monkeypatch):
+    from bodylog.recording import recording
+
+    monkeypatch.setattr(delay_findings, "LONGEST", 10.0)
+    monkeypatch.setattr(delay_findings, "MOST", 50)
+    read = recording.read(ARM / "explore.mcap", Settings())
+    part = delay_findings._middle(replace(read, views={"side": read.frames}))
+    t = [frame.t for frame in part.frames()]
+    assert 30 <= len(t) <= 40 and 14.9 < t[0] < 15.3 and 24.5 < t[-1] < 25.1
+    assert np.ptp(part.joints.t) <= 10.0 and len(part.joints.t) == len(part.joints.values) == len(part.joints.source_ns)
+    assert list(part.views) == ["side"]
+
+
+def test_doctor_prints_the_delay(run_cli, body, tmp_path, capsys):
+    log = shifted(ARM / "reach.mcap", tmp_path / "late.mcap", 0.06)
+    assert run_cli("doctor", log, "--body", body, "--json") == 0
+    (entry,) = json.loads(capsys.readouterr().out)["results"]
+    assert entry["scores"]["delay/camera"] == {"value": pytest.approx(0.06, abs=0.01), "unit": "s"}
+    assert run_cli("doctor", ARM / "reach.mcap", "--delay", "off") == 0
+    assert capsys.readouterr().out == f"{ARM / 'reach.mcap'}: sound\n"
+    assert run_cli("doctor", log, "--body", log) == 65
