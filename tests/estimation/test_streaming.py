@@ -15,7 +15,7 @@ from bodylog import body as learning
 from bodylog.body_model import BodyModel
 from bodylog.errors import LogError, ModelError, UsageError
 from bodylog.estimation import estimate
-from bodylog.estimation.inference import scalar_steps
+from bodylog.estimation.inference.encoder_steps import EncoderSteps, even
 from bodylog.estimation.inference.filter_records import Dynamics
 from bodylog.estimation.inference.instant import Motion, hear
 from bodylog.estimation.live.estimator import Belief, Estimator
@@ -370,7 +370,7 @@ def test_joints_in_two_halves_start_once_all_are_known(world):
 
 @pytest.mark.parametrize("offsets", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_scalar_steps_equal_the_matrix_form(seed, offsets):
+def test_encoder_steps_equal_the_matrix_form(seed, offsets):
     rng = np.random.default_rng(seed)
     m = 3
     drift = np.array([1e-4, 0.0, 1e-5]) if offsets else None
@@ -381,12 +381,11 @@ def test_scalar_steps_equal_the_matrix_form(seed, offsets):
     stated = np.where(rng.random(m) < 0.3, np.nan, z[:m] + rng.normal(size=m) * (1.0, 1.0, 9.0))  # the last is gated
     moved_z, moved_p = motion.move(z, p, 0.013)
     found = hear(motion, moved_z, moved_p, stated, var, [])
-    process = [float(v) for v in motion._spread[0].diagonal()[m : 2 * m]]
-    ours_z, ours_p = scalar_steps.moved(z.tolist(), p.tolist(), 0.013, process, [] if drift is None else drift.tolist())
-    np.testing.assert_allclose(ours_p, moved_p, atol=1e-12, rtol=0)
-    ours_z, ours_p, nats, d = scalar_steps.condition(ours_z, ours_p, stated.tolist(), var.tolist())
-    scalar_steps.even(ours_p)
-    np.testing.assert_allclose(ours_z, found.z, atol=1e-12, rtol=0)
-    np.testing.assert_allclose(ours_p, found.p, atol=1e-12, rtol=0)
+    steps = EncoderSteps(motion._spread[0].diagonal()[m : 2 * m].copy(), drift, var)
+    belief = steps.moved(np.column_stack([p, z]), 0.013)
+    np.testing.assert_allclose(belief, np.column_stack([moved_p, moved_z]), atol=1e-12, rtol=0)
+    nats, d = steps.condition(belief, stated.tolist())
+    even(belief)
+    np.testing.assert_allclose(belief, np.column_stack([found.p, found.z]), atol=1e-12, rtol=0)
     np.testing.assert_allclose(d, found.encoder_d, atol=1e-12, rtol=0)
     assert nats == pytest.approx(found.nats, abs=1e-12)

@@ -24,7 +24,8 @@ FAR = 0.3
 SPAN = 0.5
 """s over which an offset is taken as constant."""
 PASSES, STILL = 8, 0.05
-"""Most passes over all segments, and the change of a segment's start, per unit of offset, that ends them."""
+"""Most passes over all segments, and the change of the angles at a segment's start, per unit of offset, that ends
+them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,14 @@ def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
 
 def _at(solved: Solution, a: Array, events: Array) -> Array:
     """Values of folded a (L,…,C) at the given events: (…,F)."""
-    return np.ascontiguousarray(np.moveaxis(solved.fold.pick(a, events), 0, -1))
+    return np.asarray(a.ravel().take(_places(solved, a, events)))
+
+
+def _places(solved: Solution, a: Array, events: Array) -> Array:
+    """Where the given events stand in the flattened a (L,…,C): (…,F)."""
+    shape, length, stretches = a.shape[1:-1], solved.fold.length, a.shape[-1]
+    each = stretches * np.arange(np.prod(shape, dtype=int)).reshape(*shape, 1)
+    return np.asarray(events % length * (a[0].size) + events // length + each)
 
 
 def _inverse(s: Array) -> Array:
@@ -97,20 +105,23 @@ def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
 
 def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
     """Derivative (L,M,M,C) of the predicted belief at each instant with respect to each encoder's offset."""
-    readings, trace, fold = solved.readings, solved.trace, solved.fold
+    readings, trace = solved.readings, solved.trace
     gated = raised(readings.encoder_var, _spread(solved), trace.encoder_d**2)
     information = np.where(np.isfinite(readings.encoders), 1.0 / gated, 0.0)
     stiff = np.zeros(trace.prior_cov.shape)
     np.einsum("liic->lic", stiff)[:] = information
     for track in tracks:
-        fold.put(stiff, track.events, fold.pick(stiff, track.events) + np.moveaxis(track.stiff, -1, 0))
+        stiff.reshape(-1)[_places(solved, stiff, track.events)] += track.stiff
     # pseudo-readings of the posture prior have no offset
     weight = np.where(np.isfinite(trace.encoder_d), information, 0.0)
-    shift, begin = np.empty_like(stiff), _first_shift(weight)
-    for _ in range(PASSES):
-        end = _propagate(shift, begin.copy(), readings.dt, stiff, weight, trace.p)
-        moved, begin[..., 1:] = np.abs(end[..., :-1] - begin[..., 1:]).max(initial=0.0), end[..., :-1]
-        if moved < STILL:
+    shift, begin, m = np.empty_like(stiff), _first_shift(weight), weight.shape[1]
+    for sweep in range(PASSES):
+        # the first guess is so rough that half of each segment forgets it about as well
+        rows = slice(0 if sweep else len(shift) // 2, None)
+        parts = (part[rows] for part in (shift, readings.dt, stiff, weight, trace.p))
+        end = _propagate(begin.copy(), *parts)
+        moved, begin[..., 1:] = np.abs(end[:m, :, :-1] - begin[:m, :, 1:]).max(initial=0.0), end[..., :-1]
+        if sweep and moved < STILL:
             break
     return shift
 
@@ -124,28 +135,32 @@ def _first_shift(weight: Array) -> Array:
 
 
 def _propagate(
-    shift: Array, moved: Array, dt: Array, stiff: Array, weight: Array, p: Array
+    moved: Array, shift: Array, dt: Array, stiff: Array, weight: Array, p: Array
 ) -> Array:  # fmt: skip
     """Propagate derivatives `moved` (2M,M,C) of angles and rates through all segments into `shift`; return the end."""
-    m = weight.shape[1]
-    own = np.arange(m)
+    m, stretches = weight.shape[1:]
+    angles, rates, force = moved[:m], moved[m:], np.empty((m, m, stretches))
+    own = force.reshape(m * m, stretches)[:: m + 1]
     for i, step in enumerate(dt):
-        moved[:m] += step * moved[m:]
-        shift[i] = moved[:m]
-        force = np.einsum("ijc,jkc->ikc", stiff[i], shift[i])
-        force[own, own] -= weight[i]
+        np.add(angles, step * rates, out=shift[i])
+        np.einsum("ijc,jkc->ikc", stiff[i], shift[i], out=force)
+        own -= weight[i]
         # x⁺ − x⁻ = P⁺ Hᵀ R⁻¹ ν
-        moved -= np.einsum("aic,ikc->akc", p[i, : 2 * m, :m], force)
+        pulled = np.einsum("aic,ikc->akc", p[i, : 2 * m, :m], force)
+        np.subtract(shift[i], pulled[:m], out=angles)
+        rates -= pulled[m:]
     return moved
 
 
 def _by_encoders(solved: Solution, shift: Array) -> tuple[Array, Array]:
     """Ψᵀ S⁻¹ ν (E,M) and the diagonal of Ψᵀ S⁻¹ Ψ (E,M) from all encoder readings."""
-    d, m = solved.trace.encoder_d, shift.shape[1]
-    known, std = np.isfinite(d), np.sqrt(_spread(solved))
-    psi = (np.eye(m)[..., None] - shift) * np.where(known, 1.0 / std, 0.0)[:, :, None]
-    clipped = np.where(known, np.clip(d, -CLIP, CLIP), 0.0)
-    score, weight = (psi * clipped[:, :, None]).sum(axis=1), (psi * psi).sum(axis=1)
+    d, spread = solved.trace.encoder_d, _spread(solved)
+    # Ψ = (1 − shift) / √S
+    inverse = np.where(np.isfinite(d), 1.0 / spread, 0.0)
+    pull = np.where(np.isfinite(d), np.clip(d, -CLIP, CLIP) / np.sqrt(spread), 0.0)
+    score = pull - np.einsum("lijc,lic->ljc", shift, pull)
+    weight = inverse * (1.0 - 2.0 * np.einsum("liic->lic", shift))
+    weight += np.einsum("lijc,lijc,lic->ljc", shift, shift, inverse)
     return solved.fold.unfold(score), solved.fold.unfold(weight)
 
 
@@ -165,20 +180,26 @@ def _spread(solved: Solution) -> Array:
     return np.asarray(np.einsum("liic->lic", solved.trace.prior_cov) + solved.readings.encoder_var)
 
 
+def _filtered(score: list[float], weight: list[float], grown: list[float]) -> tuple[list[float], list[float]]:
+    """One offset and its variance, first of all and after each span, whose walk has the variance `grown`."""
+    offsets, var = [b := 0.0], [p := OFFSET_STD**2]
+    for pull, stiff, more in zip(score, weight, grown, strict=True):
+        p += more
+        p /= 1.0 + stiff * p
+        b += p * (pull - stiff * b)
+        offsets.append(b)
+        var.append(p)
+    return offsets, var
+
+
 def _filtered_offsets(t: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Array, Array]:
     """Filter each offset over spans from scores (E,M) and weights (E,M); returns as `offset_score` does."""
     starts = np.unique(np.searchsorted(t, spans(t, SPAN)))
     steps = np.diff(t[starts], append=t[-1])
     score, weight = np.add.reduceat(score, starts), np.add.reduceat(weight, starts)
-    offsets, var = np.zeros((2, len(steps) + 1, score.shape[1]))
-    var[0] = OFFSET_STD**2
-    for j, (f, w) in enumerate(zip(score.T.tolist(), weight.T.tolist(), strict=True)):
-        b, p = 0.0, OFFSET_STD**2
-        for k, (pull, stiff, step) in enumerate(zip(f, w, steps.tolist(), strict=True), 1):
-            p += walk * step
-            p /= 1.0 + stiff * p
-            b += p * (pull - stiff * b)
-            offsets[k, j], var[k, j] = b, p
+    grown = (walk * steps).tolist()
+    pairs = [_filtered(*each, grown) for each in zip(score.T.tolist(), weight.T.tolist(), strict=True)]
+    offsets, var = (np.transpose(each) for each in zip(*pairs, strict=True))
     before, grown = offsets[:-1], var[:-1] + walk * steps[:, None]
     innovation, share = score - weight * before, 1.0 + weight * grown
     nats = before * (score - 0.5 * weight * before) + 0.5 * (innovation * innovation * grown / share - np.log(share))

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ...errors import LogError, UsageError
 from ...settings import Estimation
 from ...types import Array, Health
 from ..faults.encoder_offset import WALKS
-from ..inference import scalar_steps
+from ..inference.encoder_steps import EncoderSteps, even
 from ..inference.filter_records import Dynamics
 from ..inference.initial_path import OFFSET_STD
 from ..inference.instant import Motion, hear
@@ -114,9 +114,9 @@ class Estimator:
         return self._belief(now, nats, shown, then.lost)
 
     def _belief(self, now: State, nats: float, errors: Mapping[str, Array], lost: Array | None = None) -> Belief:
-        m, z = len(self._body.joints), np.array(now.z)
+        m, z = len(self._body.joints), now.belief[:, -1].copy()
         bias = z[2 * m :] if len(z) > 2 * m else None
-        cov = self._stated * np.array([row[:m] for row in now.p[:m]])
+        cov = self._stated * now.belief[:m, :m]
         return Belief(now.t, z[:m], z[m : 2 * m], cov, nats, errors, bias, lost)
 
     def _begin(self, readings: Sequence[Array]) -> ReplayBuffer:
@@ -135,23 +135,13 @@ class Estimator:
         process, near = precision.process, precision.near
         like = {n: ErrorCorrelation(process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()}
         adrift = adrift_prior(self._inputs.wanted, precision.process, x)
-        steady = Steady(
-            precision.process.tolist(), [] if drift is None else drift.tolist(), precision.encoder.tolist()
-        )  # fmt: skip
+        steady = EncoderSteps(precision.process, drift, precision.encoder)
         one = _Filter(Motion(dynamics), steady, posture, adrift, precision.encoder, precision.scale, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
         std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
         watch = AcquisitionState.initial(len(x))
-        first = State(-np.inf, z.tolist(), np.diag(std**2).tolist(), watch, watch.borne.tolist())
+        first = State(-np.inf, np.column_stack([np.diag(std**2), z]), watch, watch.borne.tolist())
         return ReplayBuffer(first, self._lag, one.hear)
-
-
-class Steady(NamedTuple):
-    """Variances as plain floats: process (M), drift (M, or empty), encoders' (M)."""
-
-    process: list[float]
-    drift: list[float]
-    encoder: list[float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +149,7 @@ class _Filter:
     """One step of the filter."""
 
     motion: Motion
-    steady: Steady
+    steady: EncoderSteps
     posture: PosturePrior | None
     adrift_posture: PosturePrior | None
     encoder_var: Array
@@ -176,48 +166,46 @@ class _Filter:
         t = at.t
         if at.places or self.posture is not None or not t - before.oldest <= SILENCE:
             return None
-        process, drift, encoder = self.steady
-        z, p = scalar_steps.moved(before.z, before.p, t - before.t, process, drift)
-        for j in range(len(process)):
-            if p[j][j] > VAGUE**2:
-                return None
+        belief = self.steady.moved(before.belief, t - before.t)
+        if max(belief.diagonal().tolist()[: self.steady.joints]) > VAGUE**2:
+            return None
         if at.angles is None:
-            return State(t, z, p, before.watch, before.borne, before.oldest, before.uneven + 1)
+            return State(t, belief, before.watch, before.borne, before.oldest, before.uneven + 1)
         angles = at.angles.tolist()
         try:
-            z, p, nats, d = scalar_steps.condition(z, p, angles, encoder)
+            nats, d = self.steady.condition(belief, angles)
         except ArithmeticError:
             return None  # the full step reports the error
         uneven = before.uneven + 1
         if uneven >= EVEN:
-            scalar_steps.even(p)
+            even(belief)
             uneven = 0
         borne = [t if reading == reading else last for reading, last in zip(angles, before.borne, strict=True)]
-        return State(t, z, p, before.watch, borne, min(borne), uneven, nats, {"encoders": d})
+        return State(t, belief, before.watch, borne, min(borne), uneven, nats, {"encoders": d})
 
     def _by_all(self, before: State, at: Instant) -> State:
         dt = at.t - before.t if np.isfinite(before.t) else 0.0
         angles = np.full(len(self.encoder_var), np.nan) if at.angles is None else at.angles
-        before = replace(before, watch=replace(before.watch, borne=np.array(before.borne)))
-        loose, z, p = before.watch.loose, np.array(before.z), np.array(before.p)
+        watch = replace(before.watch, borne=np.array(before.borne))
+        loose, z, p = watch.loose, before.belief[:, -1], before.belief[:, :-1]
         z, p = self.motion.move(z, p, dt, np.where(loose, LASTING, 1.0) if loose.any() else None)
-        lost, borne = before.watch.judge(at.t, z, p, angles, self.encoder_var, bool(at.places))
+        lost, borne = watch.judge(at.t, z, p, angles, self.encoder_var, bool(at.places))
         if lost is not None:
             forget(z, p, lost, angles, dt)
         here = {
-            name: before.watch.with_last_frame(name, self._sight(name, at.t, *place))
+            name: watch.with_last_frame(name, self._sight(name, at.t, *place))
             for name, place in at.places.items()
         }
         angles, var, motion = *self._encoders(angles, dt), self.motion
-        if adrift := bool(here and before.watch.adrift(at.t).any()):
-            angles, var, is_prior = before.watch.add_prior(at.t, self.adrift_posture, angles, var)
+        if adrift := bool(here and watch.adrift(at.t).any()):
+            angles, var, is_prior = watch.add_prior(at.t, self.adrift_posture, angles, var)
             motion = motion.recalling(is_prior)
         found = hear(motion, z, p, angles, var, list(here.values()), adrift=adrift)
         errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
-        watch = before.watch.after(at.t, borne, here, found.memories)
+        watch = watch.after(at.t, borne, here, found.memories)
         oldest = -np.inf if watch.loose.any() else float(watch.borne.min())
-        z, p, borne = found.z.tolist(), found.p.tolist(), watch.borne.tolist()
-        return State(at.t, z, p, watch, borne, oldest, 0, found.nats, errors, lost)
+        belief = np.column_stack([found.p, found.z])
+        return State(at.t, belief, watch, watch.borne.tolist(), oldest, 0, found.nats, errors, lost)
 
     def _sight(self, name: str, t: float, place: Array, var: Array) -> PendingFrame:
         return PendingFrame(self.models[name], t, place, self.scale.get(name, 1.0) * var, self.like[name], LastFrame())

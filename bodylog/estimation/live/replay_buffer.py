@@ -7,22 +7,21 @@ import numpy as np
 
 from ...types import Array
 from ..inference.reacquisition import AcquisitionState
-from ..inference.scalar_steps import Rows
 from .inputs import Observation
 
 
 @dataclass(eq=False, slots=True)
 class State:
-    """After an instant t (s; −∞ before the first): z (K), p (K,K) as lists, the acquisition state · the instant's nats.
+    """After an instant t (s; −∞ before the first): the acquisition state, the instant's nats, and the belief.
 
+    belief (K,K+1): the rows of the covariance, each followed by the mean ·
     borne (M) s: time at which each encoder last confirmed the belief; oldest (s): the least of these, −∞ while joints
     are adrift · uneven: instants since p was made symmetric · errors {sense: standard deviations} of this instant ·
     lost (M,) bool: joints re-initialised at it.
     """
 
     t: float
-    z: list[float]
-    p: Rows
+    belief: Array
     watch: AcquisitionState
     borne: list[float] = field(default_factory=list)
     oldest: float = -np.inf

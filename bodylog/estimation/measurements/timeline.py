@@ -34,10 +34,11 @@ def timeline(evidence: Evidence, rate: float | None) -> Timeline:
     """Union of all stamps and output times; equal times are one instant, so simultaneous senses have no order."""
     clock = np.empty(0) if evidence.encoders is None else evidence.encoders.t
     wanted = output_times(evidence, rate)
-    t = union(clock, *(s.t for s in evidence.sightings), wanted)
+    regular = np.array_equal(wanted, clock)
+    t = union(clock, *(s.t for s in evidence.sightings), wanted[:0] if regular else wanted)
     encoders = np.searchsorted(t, clock)
     sightings = tuple(np.searchsorted(t, s.t) for s in evidence.sightings)
-    outputs = np.searchsorted(t, wanted)
+    outputs = encoders if regular else np.searchsorted(t, wanted)
     return Timeline(t, encoders, sightings, outputs, _latest_source(evidence, t, encoders, sightings)[outputs])
 
 
@@ -71,7 +72,8 @@ def union(*clocks: Array) -> Array:
     """Distinct times (E,) of ascending clocks, in order."""
     # a stable sort merges ordered runs; np.unique would sort from scratch
     t = np.sort(np.concatenate(clocks), kind="stable")
-    return t[np.append(True, t[1:] != t[:-1])] if len(t) else t
+    new = t[1:] != t[:-1]
+    return t if new.all() else t[np.append(True, new)]
 
 
 def spans(t: Array, width: float) -> Array:

@@ -62,7 +62,7 @@ def weighed(hypotheses: tuple[Hypothesis, ...]) -> dict[str, Any]:
 def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, Series, Array]:
     """Standardised errors where seen; the place predicted before the frame; its covariance (F,D,D) with noise."""
     mean, jac, var = sighting.model.predict(beliefs.before[events])
-    cov = jac @ beliefs.before_cov[events] @ jac.swapaxes(1, 2)
+    cov = _projected(jac, beliefs.before_cov[events])
     noise = var + beliefs.scale.get(sighting.name, 1.0) * sighting.var
     np.einsum("fdd->fd", cov)[:] += noise
     std = np.sqrt(np.einsum("fdd->fd", cov))
@@ -72,6 +72,13 @@ def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, 
     mean = mean if sighting.displaced is None else mean + sighting.displaced
     errors = Series(sighting.t[seen], error, names, "std", sighting.source_ns[seen])
     return errors, Series(sighting.t, mean, names, "px", sighting.source_ns, std), cov
+
+
+def _projected(jac: Array, cov: Array) -> Array:
+    """J P Jᵀ (F,D,D) of jac (F,D,M) and cov (F,M,M); with frames last, products of small matrices are fast."""
+    jac, cov = (np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in (jac, cov))
+    found = np.einsum("dkf,ekf->fde", np.einsum("dmf,mkf->dkf", jac, cov), jac)
+    return np.ascontiguousarray(found)
 
 
 def per_output(nats: Array, outputs: Array) -> Array:
