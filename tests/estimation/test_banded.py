@@ -97,9 +97,8 @@ def offset_var(walk):
 @pytest.mark.parametrize(("order", "walk"), CASES)
 def test_banded_solve_equals_the_textbook(order, walk):
     world = draw(0, duration=8.0)
-    motion = MotionModel(order, PROCESS[order], None if walk is None else np.maximum(walk, NEVER**2))
-    log, *parts = posed(world.features, world.body, motion)
-    mean, cov, cost, smooth, smooth_cov = textbook(*parts, motion, R)
+    log, *parts = posed(world.features, world.body, MotionModel(order, PROCESS[order], walk))
+    mean, cov, cost, smooth, smooth_cov = textbook(*parts, log.chain.motion, R)
     past, all_of_it = (
         given(solve(log, initial_states(log), whole)) for whole, given in ((False, given_past), (True, given_all))
     )
@@ -111,6 +110,24 @@ def test_banded_solve_equals_the_textbook(order, walk):
     # but for the mixture's own: outliers are rare, and here are none
     assert past.nats.sum() == pytest.approx(cost.sum(), abs=0.1)
     np.testing.assert_allclose(all_of_it.states[-1, :, 0], past.states[-1, :, 0], atol=near)
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+def test_an_offset_of_one_joint_leaves_the_others_as_they_are(method):
+    world = draw(1, duration=10.0, encoder_hz=100.0, encoder_std=0.005)
+    joints = world.features.joints
+    values = joints.values + 0.3 * np.outer(joints.t > 5.0, np.array(joints.names) == "lift")
+    jumped = replace(world.features, joints=replace(joints, values=values), tracks={})
+    auto, on, off = (
+        estimate(jumped, world.body, Estimation(method=method, bias=bias)) for bias in ("auto", "on", "off")
+    )
+    lift = np.array(world.body.joints) == "lift"
+    # without images joints are independent: each is as if all, or none, had offsets
+    assert auto.settings["order"] == on.settings["order"] == off.settings["order"]
+    np.testing.assert_array_equal(np.array(auto.settings["drift"]) > 0.0, lift)
+    np.testing.assert_allclose(auto.joints.values[:, lift], on.joints.values[:, lift], atol=1e-9)
+    np.testing.assert_allclose(auto.joints.values[:, ~lift], off.joints.values[:, ~lift], atol=1e-9)
+    assert np.abs(auto.bias.values[:, ~lift]).max() == 0.0
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])

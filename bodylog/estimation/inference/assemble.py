@@ -1,5 +1,7 @@
 """Turn encoder readings and their noise model into a `Log` for the solver; initial states."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...types import Array
@@ -21,6 +23,9 @@ NEVER = 1e-6
 
 def assemble(encoders: Encoders, line: Timeline, start: Array, var: Array, motion: MotionModel) -> Log:
     """The log of encoders with variances (M,) rad² as knots and slots, not solved yet."""
+    if motion.walk is not None:
+        # without any walk an offset's noise between knots is singular
+        motion = replace(motion, walk=np.maximum(motion.walk, NEVER**2))
     knots, each = Knots.of(line.t, motion.order), np.tile(var, (len(line.t), 1))
     y = np.full(each.shape, np.nan)
     y[line.encoders] = encoders.values
