@@ -1,6 +1,7 @@
 """The result of a command in a few sentences that a person can act on."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -30,8 +31,10 @@ def of_body(joints: Sequence[str], scores: Sequence[Score]) -> tuple[str, ...]:
     return (learned, *_first(errors, "tracks"), *_first([one for one in offsets if one], "offsets", "; "), *tests[:1])
 
 
-def of_batch(rows: Sequence[Mapping[str, object]], errors: Mapping[str, float]) -> tuple[str, ...]:
-    """How many logs ended how, and the median and worst of their `errors` (rad) by name."""
+def of_batch(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """How many logs of a batch ended how, and the median and largest of their errors (rad)."""
+    scored = {row["name"]: row["scores"].get("rmse/joint") for row in rows}
+    errors = {name: error for name, error in scored.items() if error is not None}
     counts: dict[str, int] = {}
     for row in rows:
         counts[str(row["status"])] = counts.get(str(row["status"]), 0) + 1

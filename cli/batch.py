@@ -85,11 +85,11 @@ def _summary(rows: list[dict[str, Any]], out: Path) -> None:
 
     from .output import line
 
-    errors = {row["name"]: row["scores"].get("rmse/joint") for row in rows}
-    for text in of_batch(rows, {name: error for name, error in errors.items() if error is not None}):
+    for text in of_batch(rows):
         line(text)
     for row in rows:
-        error = "-" if errors[row["name"]] is None else f"{errors[row['name']]:.4g} rad"
+        found = row["scores"].get("rmse/joint")
+        error = "-" if found is None else f"{found:.4g} rad"
         line(f"{row['exit_code']:>3}  {error:>12}  {row['name']}  {row['status']}{_why(row)}")
     line(f"wrote {out / 'summary.html'}", err=True)
 

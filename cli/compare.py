@@ -51,14 +51,18 @@ def _plain(row: "Row") -> dict[str, Any]:
 
 
 def _line() -> "Callable[[Row], None]":
-    """A function that prints a row, and the head before the first one."""
-    head = [f"{'method':<18} {'senses':<24} " + " ".join(f"{name:>{WIDTH}}" for name in COLUMNS) + f" {'seconds':>9}"]
+    """A function that prints a row, and the names and units of the columns before the first one."""
+    from bodylog.score_names import unit
+
+    heads = [("", "", *map(unit, COLUMNS), "s"), ("method", "senses", *COLUMNS, "seconds")]
 
     def line(row: "Row") -> None:
         scores = {score.name: score.value for score in row.scores}
         cells = " ".join(f"{scores[name]:>{WIDTH}.5g}" if name in scores else f"{'-':>{WIDTH}}" for name in COLUMNS)
-        while head:
-            click.echo(head.pop())
+        while heads:
+            method, senses, *names, seconds = heads.pop()
+            named = " ".join(f"{name:>{WIDTH}}" for name in names)
+            click.echo(f"{method:<18} {senses:<24} {named} {seconds:>9}")
         click.echo(f"{row.method:<18} {','.join(row.senses):<24} {cells} {row.seconds:>9.3f}")
 
     return line

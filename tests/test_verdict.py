@@ -93,8 +93,8 @@ def test_body_verdict_states_holdout_error_and_sure_offsets() -> None:
 
 
 def test_batch_verdict_counts_outcomes_and_names_the_worst() -> None:
-    rows = [{"status": "passed"}, {"status": "passed"}, {"status": "unusable"}]
-    assert of_batch(rows, {"a": 0.01, "b": 0.03}) == (
+    ended = (("a", "passed", {"rmse/joint": 0.01}), ("b", "passed", {"rmse/joint": 0.03}), ("c", "unusable", {}))
+    assert of_batch([{"name": name, "status": status, "scores": scores} for name, status, scores in ended]) == (
         "3 logs: 2 passed, 1 unusable",
         "error (RMSE): median 0.02 rad, largest 0.03 rad in b",
     )

@@ -16,6 +16,11 @@ from . import folders
 
 Row = dict[str, Any]
 """The results of one log as plain values: a line of results.jsonl."""
+KEYS = frozenset((
+    "name", "log", "key", "status", "exit_code", "error", "messages", "outputs", "scores", "used", "verdict", "faults",
+    "health", "findings",
+))  # fmt: skip
+"""The keys of a row."""
 
 MOST = 100_000
 """Most names that a pattern may match, and most folders that are searched."""

@@ -6,8 +6,9 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from .. import verdict
 from ..io.atomic_files import replacing
-from ..score_names import split
+from ..score_names import split, unit
 from . import folders, resume
 from .jobs import Job, Row
 from .resume import ODD
@@ -109,11 +110,13 @@ def _xml(text: str) -> str:
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """A page with one line per log; everything from a log is escaped."""
+    """A page with the verdict and one line per log; everything from a log is escaped."""
     names = sorted({name for row in rows for name in row["scores"] if not split(name)[1]})
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in ("log", "status", *names, "remark"))
+    heads = ("log", "status", *(f"{name} [{unit(name)}]" for name in names), "remark")
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in heads)
+    text = "\n".join(f"<p>{html.escape(sentence)}</p>" for sentence in verdict.of_batch(rows))
     body = "\n".join(_line(row, names) for row in rows)
-    return PAGE.format(count=len(rows), head=head, body=body)
+    return PAGE.format(count=len(rows), verdict=text, head=head, body=body)
 
 
 PAGE = """<!doctype html>
@@ -122,6 +125,7 @@ PAGE = """<!doctype html>
 body{{font:14px sans-serif;margin:2em}} td,th{{padding:.2em .8em;text-align:left;border-bottom:1px solid #ddd}}
 </style>
 <h1>{count} logs</h1>
+{verdict}
 <table><tr>{head}</tr>
 {body}
 </table></html>

@@ -11,10 +11,11 @@ from ..errors import BodylogError, LogError, ModelError, UsageError
 from ..io import episodes, remote
 from ..io.atomic_files import replacing, sha256
 from ..logs.episode_files import digest
+from ..score_names import FIGURES, split
 from ..settings import Settings, plain
 from ..version import __version__
 from .folders import RESULT, ROW, mark
-from .jobs import Job, Row
+from .jobs import KEYS, Job, Row
 
 HOW = "how"
 """Key of row.json: a digest of everything but the log that the row depends on."""
@@ -45,13 +46,13 @@ def leave(job: Job, row: Row) -> Row:
 def left(job: Job) -> Row | None:
     """The row that another shard left with the same body, settings, bounds and version; None otherwise."""
     row = _read(job.folder / ROW)
-    return _plain(row) if row is not None and row.get(HOW) == job.how else None
+    return _plain(row) if row is not None and row.get(HOW) == job.how and _is_current(row) else None
 
 
 def finished(job: Job) -> Row | None:
     """The row of an earlier run, if its work is the same and its outputs are unchanged; None otherwise."""
     row = _read(job.folder / ROW)
-    if row is None or row.get("key") is None or row["key"] != _key_or_none(job):
+    if row is None or not _is_current(row) or row["key"] is None or row["key"] != _key_or_none(job):
         return None
     whole = all(_same(job.folder / name, digest) for name, digest in row["outputs"].items())
     if not whole or not _counted(job, row):
@@ -60,6 +61,12 @@ def finished(job: Job) -> Row | None:
         return _plain(row)
     mark(job.folder, RESULT)  # by an earlier version
     return leave(job, row)
+
+
+def _is_current(row: Row) -> bool:
+    """Whether a row has the keys of this version's rows, and its scores their names."""
+    scores = row.get("scores")
+    return row.keys() >= KEYS and isinstance(scores, dict) and all(split(name)[0] in FIGURES for name in scores)
 
 
 def _plain(row: Row) -> Row:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from bodylog.batch.jobs import named, share
+from bodylog.batch.jobs import KEYS, named, share
 from bodylog.batch.results import junit
 from bodylog.errors import LogError, UsageError, WriteError
 
@@ -128,6 +128,31 @@ def test_resumed_batch_equals_an_uninterrupted_one_and_repeats_no_log(tmp_path, 
     run_cli("batch", mixed, "-o", resumed, "--body", robot / "body.npz", "--resume")
     assert _tree(resumed) == _tree(whole)
     assert (resumed / "good.mcap" / "annotated.mcap").stat().st_mtime_ns == kept
+
+
+@pytest.mark.parametrize("old", [{"scores": {"joint_rmse": 0.1, "nees": 1.0}}, {"verdict": None}, {"scores": None}])
+def test_resume_repeats_a_log_whose_row_has_another_form(old, tmp_path, robot, run_cli):
+    typed = ("batch", robot / "reach.mcap", "-o", tmp_path, "--body", robot / "body.npz")
+    assert run_cli(*typed) == 0
+    before, place = _tree(tmp_path), tmp_path / "reach.mcap" / "row.json"
+    row = json.loads(place.read_text()) | old
+    place.write_text(json.dumps({key: value for key, value in row.items() if value is not None}))
+    assert run_cli(*typed, "--resume") == 0
+    assert _tree(tmp_path) == before
+
+
+def test_a_row_has_the_keys_that_resume_asks_for(tmp_path, robot, run_cli):
+    assert run_cli("batch", robot / "reach.mcap", "-o", tmp_path, "--body", robot / "body.npz") == 0
+    (row,) = _rows(tmp_path).values()
+    assert set(row) == KEYS
+
+
+def test_summary_begins_with_the_verdict_and_names_units(tmp_path, mixed, robot, run_cli, capsys):
+    run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz")
+    first, second, *_ = capsys.readouterr().out.splitlines()
+    page = (tmp_path / "summary.html").read_text()
+    assert f"<h1>4 logs</h1>\n<p>{first}</p>\n<p>{second}</p>\n<table>" in page and "4 logs: 2 unusable, 1 passed" in first
+    assert "<th>rmse/joint [rad]</th>" in page
 
 
 def test_killed_batch_resumes_to_the_same_bytes(tmp_path, mixed, robot, run_cli):

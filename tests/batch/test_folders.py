@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from bodylog.batch import folders, jobs, resume
-from bodylog.batch.jobs import Job, find, named
+from bodylog.batch.jobs import KEYS, Job, find, named
 from bodylog.batch.results import Journal
 from bodylog.errors import UsageError
 from bodylog.settings import Settings
@@ -172,7 +172,7 @@ def _names(out):
 def test_partial_row_of_a_killed_shard_is_removed(tmp_path):
     folders.mark(tmp_path, folders.BATCH)
     three = [Job(name, name, tmp_path / name, tmp_path, Settings(), (), False, "how") for name in "abc"]
-    rows = {job.name: {"name": job.name, "outputs": {}} for job in three}
+    rows = {job.name: {**dict.fromkeys(KEYS), "name": job.name, "outputs": {}, "scores": {}} for job in three}
     own: dict = {}
     journal = Journal(tmp_path, three, frozenset("ab"), own)
     own["a"] = rows["a"]

@@ -144,9 +144,9 @@ def test_compare_needs_no_truth(tmp_path, capsys, run_cli, arm, arm_body):
     log = spoil(arm / "reach.bag", tmp_path / "log.bag", _nothing, 1.0, lambda topic: "truth" not in topic)
     capsys.readouterr()
     assert run_cli("compare", log, "--body", arm_body) == 0
-    head, *rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    head, units, *rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     figures = ["rmse/joint", "nees/joint", "coverage_2sigma/joint", "log_evidence", "log_density/held_out"]
-    assert head[2:] == [*figures, "seconds"]
+    assert head[2:] == [*figures, "seconds"] and units == ["rad", "1", "%", "nats", "nats", "s"]
     ran = {(row[0], row[1]) for row in rows}
     both = [(m, s) for m in METHODS if m != "kalman" for s in ("encoders,vision", "encoders", "vision")]
     assert ran == {*both, ("kalman", "encoders")} and len(rows) == len(ran)
