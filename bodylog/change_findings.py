@@ -24,10 +24,12 @@ def compared(features: Features, body: BodyModel, found: Estimate, settings: Est
 
     Without effect for a body learned without a URDF, and with `bias = "off"`.
     """
+    from .body.kinematic.model import comparable
+
+    if settings.bias == "off" or not comparable(body):
+        return found
     from .body.kinematic import change
 
-    if settings.bias == "off" or not change.comparable(body):
-        return found
     changes = change.changes(_usable(features, found), body)
     faults, findings = merged(changes, found)
     return replace(found, faults=faults, findings=(*found.findings, *findings))

@@ -20,24 +20,24 @@ def info(log: Path | str, settings: Settings) -> dict[str, Any]:
 
     Of an MCAP behind a URL only what this needs is read.
     """
-    from .recording import recording
+    from .recording import facts
 
     if remote.is_url(str(log)):
         return _info_remote(str(log), settings)
     log = Path(log)
     if is_archive(log):
         return _info_body(log)
-    return recording.info(log, settings, settings.input.strict)
+    return facts.info(log, settings, settings.input.strict)
 
 
 def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
     from .logs.library import local_path
-    from .recording import recording
+    from .recording import facts
 
     with local_path(url) as path:
-        facts = recording.info(path, settings, settings.input.strict)
-    findings = [{**one, "text": one["text"].replace(str(path), url)} for one in facts["findings"]]
-    return facts | {"path": url, "findings": findings}
+        found = facts.info(path, settings, settings.input.strict)
+    findings = [{**one, "text": one["text"].replace(str(path), url)} for one in found["findings"]]
+    return found | {"path": url, "findings": findings}
 
 
 def _info_body(path: Path) -> dict[str, Any]:

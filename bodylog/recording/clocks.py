@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..types import Array
+from ..logs.records import Array
 
 _DAY = 86_400_000_000_000
 _YEAR = 366 * _DAY

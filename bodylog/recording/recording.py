@@ -4,20 +4,20 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from ..errors import BodylogError
 from ..logs.formats import open_log, without_images
 from ..logs.images import video_file
 from ..logs.protocol import Log
-from ..logs.topic_names import PREFIX
 from ..logs.topics import independent
 from ..settings import Settings
 from ..sources import TableSource, TopicSource
-from ..types import ConsumedFrames, Features, Finding, Frame, FrameConsumer, Health, Recording, Series, Topic
-from . import cameras, joint_topics, role_hints, roles
+from ..types import ConsumedFrames, Features, Frame, FrameConsumer, Health, Recording, Series
+from . import cameras, joint_series, joint_topics, roles
 from . import frames as camera
-from .dated_streams import Stream, health, joints_of, read_streams, series, stream_findings
+from .clocks import largest_gap, seconds
+from .dated_streams import Stream, joints_of, read_streams
+from .saved_settings import is_ours, restore_settings
+from .stream_findings import log_findings
 
 _VIEW = "camera/"
 
@@ -30,16 +30,16 @@ def read(
     `consumer` gets the first camera's images during reading, unless the log may already hold their tracks.
     """
     with open_log(path, strict, settings.input) as log:
-        settings = _restored(log, settings)
+        settings = restore_settings(log, settings)
         found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
-        to_be_seen = "camera" in found and not _is_ours(log)
+        to_be_seen = "camera" in found and not is_ours(log)
         with consumer() if consumer and to_be_seen else nullcontext() as frames:
             tap = camera.FrameTap(log, found["camera"].topics, frames, settings.input) if frames else None
             streams, silent = read_streams(tap or without_images(log), found, settings, str(path))
         start_ns = _start_ns(streams, log)
         features = _features(log, start_ns)
         named = _named(log, path, settings, streams, start_ns, features)
-        findings = (*log.findings, *silent, *_findings(log, streams, settings))
+        findings = (*log.findings, *silent, *log_findings(log, streams, settings))
     sidecars = _sidecars(path, settings)
     videos = {key: source for key, source in cameras.cameras(settings.topics).items() if key in sidecars}
     films = _films(path, strict, streams, sidecars, settings, start_ns)
@@ -50,13 +50,13 @@ def read(
         duration_s=_duration(streams, log),
         topics=log.topics,
         roles={role: stream.role.path for role, stream in streams.items()} | videos,
-        joints=joint_topics.series(streams, settings, start_ns, str(path)),
-        skin=series(streams.get("skin"), start_ns, "0..1"),
-        truth=series(streams.get("truth"), start_ns, "rad"),
-        reference=series(streams.get("reference"), start_ns, "rad"),
+        joints=joint_series.series(streams, settings, start_ns, str(path)),
+        skin=_series(streams.get("skin"), start_ns, "0..1"),
+        truth=_series(streams.get("truth"), start_ns, "rad"),
+        reference=_series(streams.get("reference"), start_ns, "rad"),
         frames=films.get("camera"),
         features=features,
-        health={stream.role.topic: health(stream) for stream in streams.values()} | _seen(sidecars),
+        health={stream.role.topic: _health(stream) for stream in streams.values()} | _seen(sidecars),
         findings=findings,
         views={key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)},
         settings=settings,
@@ -66,53 +66,6 @@ def read(
         tracks={name: track for name, (track, _) in named.items()},
         track_health={name: health for name, (_, health) in named.items()},
     )
-
-
-def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]:
-    """The content of a log as plain values: topics, rates, roles, joint names, clocks, findings."""
-    with open_log(path, strict, settings.input) as log:
-        settings = _restored(log, settings)
-        streams: dict[str, Stream] = {}
-        found: dict[str, roles.Role] = {}
-        try:
-            found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
-            streams, silent = read_streams(without_images(log), found, settings, str(path))
-            found = {role: stream.role for role, stream in streams.items()}
-            remarked = (*silent, *_findings(log, streams, settings))
-        except BodylogError as error:
-            remarked = (Finding("warning", str(error).removeprefix(f"{path}: ")),)
-        spans = _spans(log, streams)
-        return {
-            "path": str(path),
-            "format": log.format,
-            "start_ns": log.start_ns,
-            "duration_s": (log.end_ns - log.start_ns) / 1e9,
-            "topics": [_topic(topic, spans) for topic in sorted(log.topics, key=lambda t: (t.name, t.id))],
-            "roles": {role: source.path for role, source in found.items()},
-            "joints": list(joint_topics.names(streams)),
-            "unit": joint_topics.unit(streams),
-            "clock": {role: _clock(stream) for role, stream in streams.items()},
-            "findings": [{"severity": f.severity, "text": f.text} for f in (*log.findings, *remarked)],
-        }
-
-
-def _spans(log: Log, streams: Mapping[str, Stream]) -> dict[int, tuple[int, int]]:
-    """First and last log time (ns) by topic id: its own if known, else the log's."""
-    whole = dict.fromkeys((topic.id for topic in log.topics), (log.start_ns, log.end_ns))
-    alone = {stream.role.topics[0].id: stream.log_ns for stream in streams.values() if len(stream.role.topics) == 1}
-    return whole | {id_: (int(ns.min()), int(ns.max())) for id_, ns in alone.items()} | dict(log.spans())
-
-
-def _topic(topic: Topic, spans: Mapping[int, tuple[int, int]]) -> dict[str, Any]:
-    first, last = spans[topic.id]
-    rate = (topic.messages - 1) / (last - first) * 1e9 if topic.messages > 1 and last > first else None
-    return {"topic": topic.name, "type": topic.type, "messages": topic.messages, "rate_hz": rate}
-
-
-def _clock(stream: Stream) -> dict[str, Any]:
-    timing = stream.timing
-    offset_s = None if timing.offset_ns is None else timing.offset_ns / 1e9
-    return {"clock": timing.clock, "offset_s": offset_s, "spread_s": timing.spread_s}
 
 
 def _start_ns(streams: Mapping[str, Stream], log: Log) -> int:
@@ -126,6 +79,17 @@ def _duration(streams: Mapping[str, Stream], log: Log) -> float:
         return (log.end_ns - log.start_ns) / 1e9
     first = min(int(stream.timing.t_ns[0]) for stream in streams.values())
     return (max(int(stream.timing.t_ns[-1]) for stream in streams.values()) - first) / 1e9
+
+
+def _series(stream: Stream | None, start_ns: int, unit: str) -> Series | None:
+    if stream is None:
+        return None
+    return Series(seconds(stream.timing.t_ns, start_ns), stream.values, stream.names, unit, stream.log_ns)
+
+
+def _health(stream: Stream) -> Health:
+    used = sum(stream.counts) - sum(stream.rejected.values())
+    return Health(sum(stream.counts), used, stream.rejected, largest_gap(stream.timing.t_ns))
 
 
 def _sidecars(path: Path, settings: Settings) -> dict[str, video_file.Sidecar]:
@@ -161,17 +125,8 @@ def _films(
     }
 
 
-def _restored(log: Log, settings: Settings) -> Settings:
-    """The settings, with unset values from the bodylog run that wrote the log."""
-    if not _is_ours(log):
-        return settings
-    from .saved_settings import restore_settings
-
-    return restore_settings(log, settings)
-
-
 def _features(log: Log, start_ns: int) -> Features | None:
-    if not _is_ours(log):
+    if not is_ours(log):
         return None
     from ..annotating.read_back import read_features
 
@@ -199,17 +154,3 @@ def _named(
     late_ns = (timing.offset_ns or 0) if timing is not None and timing.clock == "header" else 0
     found = dict(topic_tracks.tracks(log, asked, start_ns, late_ns))
     return found | dict(table_tracks.tracks(path, asked, start_ns, _duration(streams, log)))
-
-
-def _is_ours(log: Log) -> bool:
-    return any(topic.name.startswith(PREFIX) for topic in log.topics)
-
-
-def _findings(log: Log, streams: Mapping[str, Stream], settings: Settings) -> tuple[Finding, ...]:
-    found = {role: stream.role for role, stream in streams.items()}
-    advice = role_hints.advice(found)
-    unused = (role_hints.unused_joints, role_hints.unused_cameras)
-    more = [finding for tell in unused for finding in tell(log.topics, settings.topics, found)]
-    advised = [Finding("info", f"roles, ready for robot.toml: {advice}")] if streams else []
-    broken = [Finding("warning", f"{text}; not considered for any role") for text in role_hints.unreadable(log.topics)]
-    return (*advised, *more, *broken, *(finding for stream in streams.values() for finding in stream_findings(stream)))

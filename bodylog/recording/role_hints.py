@@ -4,8 +4,8 @@ import json
 from collections.abc import Mapping, Sequence
 
 from ..logs.images import messages
+from ..logs.records import Finding, Topic
 from ..settings import Topics
-from ..types import Finding, Topic
 from .cameras import camera_name
 from .roles import RANKS, ROLES, Role, camera_rank, is_raw, joints_rank, problem
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import LogError
 from ..io.values import reject_impossible
 from ..logs.decode.parts import Columns
-from ..types import Array
+from ..logs.records import Array
 
 _TURN = 2.0 * np.pi
 _NEAR = 1.0 / _TURN

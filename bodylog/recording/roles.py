@@ -10,9 +10,9 @@ from ..logs.decode.definitions import PRIMITIVES, Definition
 from ..logs.decode.dynamic import reader
 from ..logs.decode.message_path import parse
 from ..logs.images import messages
+from ..logs.records import Topic
 from ..logs.topic_names import PREFIX, TRACK
 from ..settings import Topics
-from ..types import Topic
 from .cameras import cameras, is_video
 from .joint_names import named as joint_topics
 from .joint_names import topic_name

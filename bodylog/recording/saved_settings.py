@@ -4,11 +4,11 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from ..annotating.read_back import read_metadata
 from ..errors import ConfigError, LogError
 from ..io.values import read_json
 from ..logs.decode.message_path import parse
 from ..logs.protocol import Log
+from ..logs.topic_names import PREFIX
 from ..settings import Body, Settings, Time, Topics
 from ..sources import Source
 from ..sources import parse as parse_source
@@ -17,11 +17,20 @@ Text = str | tuple[str, ...]
 Section = TypeVar("Section", Topics, Body, Time)
 
 
+def is_ours(log: Log) -> bool:
+    """Whether bodylog wrote topics into a log."""
+    return any(topic.name.startswith(PREFIX) for topic in log.topics)
+
+
 def restore_settings(log: Log, settings: Settings) -> Settings:
-    """Fill defaults in [topics], [body] and [time] from the log's metadata record.
+    """Fill defaults in [topics], [body] and [time] from the metadata record, if bodylog wrote topics into the log.
 
     [features] likewise if it is empty. Topics missing in the log stay unset.
     """
+    if not is_ours(log):
+        return settings
+    from ..annotating.read_back import read_metadata
+
     saved: Any = {}
     with suppress(LogError, ValueError, KeyError):
         saved = read_json(read_metadata(log.path)["settings"])

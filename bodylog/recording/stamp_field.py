@@ -4,7 +4,7 @@ from ..errors import BodylogError
 from ..io.values import read_json
 from ..logs.decode.columns import definition_of
 from ..logs.decode.definitions import TIMES, Definition
-from ..types import Topic
+from ..logs.records import Topic
 
 _ALONE = ("stamp", "timestamp")
 

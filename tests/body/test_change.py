@@ -8,6 +8,7 @@ import pytest
 from bodylog import body, change_findings
 from bodylog.body.kinematic import change
 from bodylog.body.kinematic.learn import Robotics, learn
+from bodylog.body.kinematic.model import comparable
 from bodylog.fault_findings import fault_warnings
 from bodylog.kinematics import urdf
 from bodylog.kinematics.links import CameraHint
@@ -89,7 +90,7 @@ def test_false_sightings_do_not_count(known):
 def test_change_needs_a_urdf_and_sightings(known):
     features = run(offset={"elbow": 2 * DEGREE})
     plain = replace(known, senses={"effector": body.learn([run(3, 10.0)], Settings(), {}).model.senses["effector"]})
-    assert not change.comparable(plain) and change.changes(features, plain) == ()
+    assert not comparable(plain) and change.changes(features, plain) == ()
     assert change.changes(replace(features, tracks={}), known) == ()
     few = replace(features, joints=replace(features.joints, names=("a", "b", "c", "d")))
     assert change.changes(few, known) == ()

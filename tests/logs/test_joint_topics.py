@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from bodylog.errors import ConfigError, LogError
+from bodylog.recording.facts import info
 from bodylog.recording.joint_names import topic_name
-from bodylog.recording.recording import info, read
+from bodylog.recording.recording import read
 from bodylog.settings import Body, Settings, Time, Topics
 
 from .writing import T0, Stream, joint_state, joints, write

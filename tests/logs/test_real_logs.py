@@ -15,7 +15,8 @@ from bodylog.logs.decode.definitions import PRIMITIVES, TEXTS, TIMES, Definition
 from bodylog.logs.decode.parts import Columns
 from bodylog.logs.formats import open_log, payloads
 from bodylog.logs.images.messages import COMPRESSED, RAW, decoder
-from bodylog.recording.recording import info, read
+from bodylog.recording.facts import info
+from bodylog.recording.recording import read
 from bodylog.settings import Settings
 from bodylog.types import Topic
 

@@ -13,7 +13,8 @@ import pytest
 
 from bodylog.errors import BodylogError, ConfigError, FormatError, LogError
 from bodylog.logs.mcap import prefetch
-from bodylog.recording.recording import info, read
+from bodylog.recording.facts import info
+from bodylog.recording.recording import read
 from bodylog.settings import Body, Settings, Time, Topics
 from bodylog.types import Frame
 

@@ -7,7 +7,8 @@ import pytest
 
 from bodylog.annotating.annotate import annotate
 from bodylog.annotating.messages import from_features, from_joints
-from bodylog.recording.recording import info, read
+from bodylog.recording.facts import info
+from bodylog.recording.recording import read
 from bodylog.settings import Body, Settings, Time, Topics
 
 from .written import START, found, source

@@ -17,7 +17,7 @@ from ...types import Array, Features
 from ..data.pairs import coupled, joints, pairs
 from ..data.subsampling import spaced
 from .change_system import Fit, Part, Problem, Track, cleaned, fitted, linear, linearised
-from .model import KinematicGP
+from .model import KinematicGP, comparable
 
 GAIN, APART = 20.0, 5.0
 """Nats that a change must win, and its margin over any other for a unique name, as for offsets in estimation/."""
@@ -53,11 +53,6 @@ class Change:
     since: float | None = None
     alternatives: tuple[str, ...] = ()
     unit: str = "rad"
-
-
-def comparable(body: BodyModel) -> bool:
-    """Whether a body can show changes: it was learned with a URDF, and its encoders read angles."""
-    return "encoders" not in body.senses and any(isinstance(s, KinematicGP) for s in body.senses.values())
 
 
 @one_thread("scipy.linalg")

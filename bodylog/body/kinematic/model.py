@@ -6,6 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...kinematics.instant import Instant, instant
 from ...kinematics.pose import Base
 from ...kinematics.rig import Rig, Seen
@@ -122,3 +123,8 @@ class KinematicGP(GP):
         scales = self.scales[0]
         kernel = se(x / scales, self.centres / scales, self.amplitude[0])
         return np.asarray(seen.design[:, 0] @ self.root - np.einsum("nk,dpk->ndp", kernel, self.lean))
+
+
+def comparable(body: BodyModel) -> bool:
+    """Whether a body can show changes: it was learned with a URDF, and its encoders read angles."""
+    return "encoders" not in body.senses and any(isinstance(s, KinematicGP) for s in body.senses.values())

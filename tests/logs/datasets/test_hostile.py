@@ -8,7 +8,7 @@ import pytest
 
 from bodylog.errors import BodylogError
 from bodylog.logs.conversion.examination import examine
-from bodylog.recording import recording
+from bodylog.recording import facts, recording
 from bodylog.settings import Settings
 
 from . import drawn
@@ -44,7 +44,7 @@ def _spoilt(data: bytearray, rng: random.Random) -> bytearray:
 
 
 def _read_whole(path: Path) -> None:
-    recording.info(path, Settings())
+    facts.info(path, Settings())
     frames = recording.read(path, Settings()).frames
     for frame in frames() if frames is not None else ():
         try:

@@ -13,7 +13,7 @@ from bodylog.io import episodes
 from bodylog.io.outputs import Output, guard
 from bodylog.logs.episode_files import digest, files_of
 from bodylog.logs.formats import open_log
-from bodylog.recording import recording
+from bodylog.recording import facts, recording
 from bodylog.settings import Settings
 
 from . import drawn
@@ -134,7 +134,7 @@ def test_unit_reports_its_guess_from_values(copied, values, unit, text):
     (copied / "meta/info.json").write_text(json.dumps(info))
     table = drawn.columns(0, 3) | {"observation.state": rows}
     drawn.table(copied / "data/chunk-000/episode_000000.parquet", table)
-    found = recording.info(copied, Settings())
+    found = facts.info(copied, Settings())
     assert found["unit"] == unit and text in " ".join(one["text"] for one in found["findings"])
     read = recording.read(copied, Settings())
     turn = {"counts": 4096.0, "unknown": np.inf, "rad": 2 * np.pi}[unit]
@@ -154,7 +154,7 @@ def test_frames_take_row_times_and_report_drift(copied):
 
 def test_info_decodes_no_image(old, monkeypatch):
     monkeypatch.setattr("bodylog.logs.datasets.video.images", lambda *_: pytest.fail("an image was decoded"))
-    assert recording.info(old, Settings())["roles"] == {"joints": "/joint_states", "camera": "/top/image"}
+    assert facts.info(old, Settings())["roles"] == {"joints": "/joint_states", "camera": "/top/image"}
 
 
 def test_open_knows_other_names_of_state_and_action(copied):
@@ -298,7 +298,7 @@ def test_open_names_a_missing_package(module, old, monkeypatch):
 def test_open_reads_a_real_dataset(tmp_path):
     if not REAL.is_dir():
         pytest.skip("the real SO-101 dataset (../shared/real/so101) is not at hand")
-    found = recording.info(REAL, Settings())
+    found = facts.info(REAL, Settings())
     assert found["format"] == "lerobot v2.1" and found["unit"] == "counts" and len(found["joints"]) == 12
     counts = {one["topic"]: one["messages"] for one in found["topics"]}
     assert counts == {"/action": 348, "/joint_states": 348, "/cam0/image": 348, "/cam1/image": 348, "/task": 1}

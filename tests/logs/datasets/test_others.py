@@ -9,7 +9,7 @@ import pytest
 import bodylog.logs as logs
 from bodylog.errors import InputError, LogError, UsageError
 from bodylog.logs.formats import open_log
-from bodylog.recording import recording
+from bodylog.recording import facts
 from bodylog.settings import Settings
 
 from . import drawn
@@ -147,7 +147,7 @@ def test_open_folder_reads_tables_images_and_videos(tmp_path):
         np.testing.assert_array_equal(frame.image, image)
     for frame, image in zip(films, drawn.decoded(folder / "side.mp4"), strict=True):
         np.testing.assert_array_equal(frame.image, image)
-    assert recording.info(folder, Settings())["roles"]["joints"] == "/joint_states"
+    assert facts.info(folder, Settings())["roles"]["joints"] == "/joint_states"
 
 
 def test_open_video_takes_times_from_the_table_beside_it(tmp_path):
