@@ -23,7 +23,7 @@ always printed, information with `-v`; `-q` leaves errors and losses alone. A te
 ```json
 {"bodylog": "0.1.0", "command": "estimate",
  "results": [{"input": "run.bag", "output": "run.mcap", "verdict": ["…"],
-              "scores": {"rmse/joint": {"value": 0.0072, "unit": "rad"}},
+              "scores": {"rmse/joint": {"value": 0.0067, "unit": "rad"}},
               "health": {}, "findings": [], "faults": [], "settings": {}}]}
 ```
 

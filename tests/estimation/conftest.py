@@ -1,13 +1,15 @@
 """Worlds with a known answer: a linear body and a pinhole arm, drawn from a seed."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from bodylog.body_model import BodyModel, Noise, TouchConstants
-from bodylog.estimation.methods import whole_log
+from bodylog.estimation.inference.problem import Problem
+from bodylog.estimation.methods import filtering
 from bodylog.types import Array, Features, Series, Synchrony, Touch
 
 JOINTS = ("pan", "lift", "elbow")
@@ -136,29 +138,26 @@ class Dense:
     smooth_cov: Array
 
 
-def dense(world: World, process: Array, encoder: Array, pixel: float) -> Dense:
+def dense(world: World, process: Array, encoder: Array, pixel: float, order: int = 2) -> Dense:
     """The reference for a linear body: every reading at its own time, all of one instant in one update."""
     joints, track, model = world.features.joints, world.features.tracks["effector"], world.body.senses["effector"]
     assert joints is not None
-    order = [joints.names.index(name) for name in JOINTS]
+    columns, k = [joints.names.index(name) for name in JOINTS], 3 * order
     t = np.unique(np.concatenate([joints.t, track.t]))
-    z = np.concatenate([joints.values[0, order], np.zeros(3)])
-    p, last, rows = np.eye(6), t[0], []
+    z = np.concatenate([joints.values[0, columns], np.zeros(k - 3)])
+    p, last, rows = np.diag(np.repeat([1.0, 1.0, 9.0][:order], 3)), t[0], []
     for now in t:
         dt, last = now - last, now
-        f = np.eye(6)
-        f[:3, 3:] = dt * np.eye(3)
-        q = np.block([[np.diag(process) * dt**3 / 3, np.diag(process) * dt**2 / 2],
-                      [np.diag(process) * dt**2 / 2, np.diag(process) * dt]])  # fmt: skip
+        f, q = discretised(process, dt, order)
         zp, pp = f @ z, f @ p @ f.T + q
         h, y, r = [], [], []
         for values in joints.values[joints.t == now]:
-            h += list(np.eye(6)[:3])
-            y += list(values[order])
+            h += list(np.eye(k)[:3])
+            y += list(values[columns])
             r += list(encoder)
         for values in track.values[track.t == now]:
             if np.isfinite(values).all():
-                h += [np.concatenate([row, np.zeros(3)]) for row in model.a]  # type: ignore[attr-defined]
+                h += [np.concatenate([row, np.zeros(k - 3)]) for row in model.a]  # type: ignore[attr-defined]
                 y += list(values - model.b)  # type: ignore[attr-defined]
                 r += [pixel, pixel]
         nats = 0.0
@@ -166,7 +165,8 @@ def dense(world: World, process: Array, encoder: Array, pixel: float) -> Dense:
         if y:
             hm, s = np.array(h), np.array(h) @ pp @ np.array(h).T + np.diag(r)
             nu, gain = np.array(y) - hm @ zp, pp @ hm.T @ np.linalg.inv(s)
-            z, p = zp + gain @ nu, (np.eye(6) - gain @ hm) @ pp @ (np.eye(6) - gain @ hm).T + gain @ np.diag(r) @ gain.T
+            keep = np.eye(k) - gain @ hm
+            z, p = zp + gain @ nu, keep @ pp @ keep.T + gain @ np.diag(r) @ gain.T
             nats = 0.5 * float(nu @ np.linalg.solve(s, nu) + np.linalg.slogdet(2 * np.pi * s)[1])
         rows.append((f, zp, pp, z, p, nats))
     smooth, cov = [rows[-1][3]], [rows[-1][4]]
@@ -174,8 +174,18 @@ def dense(world: World, process: Array, encoder: Array, pixel: float) -> Dense:
         gain = p @ f.T @ np.linalg.inv(pp)
         smooth.append(z + gain @ (smooth[-1] - zp))
         cov.append(p + gain @ (cov[-1] - pp) @ gain.T)
-    columns = (np.array([row[k] for row in rows]) for k in (3, 4, 5))
-    return Dense(t, *columns, np.array(smooth[::-1]), np.array(cov[::-1]))
+    parts = (np.array([row[part] for row in rows]) for part in (3, 4, 5))
+    return Dense(t, *parts, np.array(smooth[::-1]), np.array(cov[::-1]))
+
+
+def discretised(process: Array, dt: float, order: int) -> tuple[Array, Array]:
+    """Transition and noise (K,K) of three joints whose derivative `order` is white noise, by Van Loan's exponential."""
+    k = 3 * order
+    rates, noise = np.eye(k, k, 3), np.zeros((k, k))
+    noise[k - 3 :, k - 3 :] = np.diag(process)
+    both = expm(dt * np.block([[-rates, noise], [np.zeros((k, k)), rates.T]]))
+    f = both[k:, k:].T
+    return f, f @ both[:k, k:]
 
 
 @pytest.fixture
@@ -184,6 +194,18 @@ def reference() -> Callable[..., Dense]:
 
 
 @pytest.fixture
-def swept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Force the sweeps that solve logs with silent encoders."""
-    monkeypatch.setattr(whole_log, "possible", lambda *_: False)
+def white_acceleration(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Motion of order 2, whatever the evidence."""
+    monkeypatch.setattr(filtering, "with_preferred_order", lambda problem: problem)
+
+
+@pytest.fixture
+def white_jerk(monkeypatch: pytest.MonkeyPatch) -> Array:
+    """Motion of order 3 with these densities, whatever the evidence."""
+    process = np.array([9.0, 15.0, 30.0])
+
+    def jerk(problem: Problem) -> Problem:
+        return replace(problem, precision=replace(problem.precision, order=3, process=process))
+
+    monkeypatch.setattr(filtering, "with_preferred_order", jerk)
+    return process

@@ -33,6 +33,20 @@ def test_filter_of_a_linear_body_is_the_kalman_filter(world, reference, linear_m
     assert found.free_energy.sum() == pytest.approx(expected.nats[: at[-1] + 1].sum(), abs=1e-6)
 
 
+@pytest.mark.parametrize(("encoder_hz", "duration"), [(50.0, 6.0), (400.0, 16.0)])
+def test_filter_under_white_jerk_is_the_kalman_filter(
+    world, reference, linear_model, white_jerk, encoder_hz, duration
+):  # fmt: skip
+    drawn = world(1, duration=duration, encoder_hz=encoder_hz, model=linear_model, hidden=(2.0, 3.0))
+    found = estimate(drawn.features, drawn.body, replace(MODEL, rate=None))
+    expected = reference(drawn, white_jerk, np.full(3, 0.02**2), 0.4**2, order=3)
+    at = np.searchsorted(expected.t, found.joints.t)
+    np.testing.assert_allclose(found.joints.values, expected.mean[at, :3], atol=1e-9, rtol=0)
+    np.testing.assert_allclose(found.rate.values, expected.mean[at, 3:6], atol=1e-8, rtol=0)
+    np.testing.assert_allclose(found.cov, expected.cov[at, :3, :3], atol=1e-9, rtol=0)
+    assert found.free_energy.sum() == pytest.approx(expected.nats[: at[-1] + 1].sum(), abs=1e-6)
+
+
 def test_fast_encoders_are_all_used_but_written_at_100_hz(world, linear_model):
     drawn = world(0, duration=3.0, encoder_hz=500.0, model=linear_model)
     found = estimate(drawn.features, drawn.body, MODEL)
@@ -62,7 +76,7 @@ def test_order_of_simultaneous_senses_does_not_matter(world):
     np.testing.assert_allclose(one.cov, two.cov, atol=1e-12, rtol=0)
 
 
-def test_filter_of_a_still_arm_has_noise_without_motion(world, swept):
+def test_filter_of_a_still_arm_has_noise_without_motion(world, white_acceleration):
     ratios, shares = [], []
     for seed in range(6):
         drawn = world(seed, speed=0.0)

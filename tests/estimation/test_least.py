@@ -59,7 +59,9 @@ def test_smoother_process_constants_follow_from_the_spectrum(power):
 
 
 @pytest.mark.parametrize(("moved", "gain"), [("sines", 0.95), ("white", 1.04)])
-def test_smoother_process_beats_maximum_evidence_with_true_error_bars(world, monkeypatch, swept, moved, gain):
+def test_smoother_process_beats_maximum_evidence_with_true_error_bars(
+    world, monkeypatch, white_acceleration, moved, gain
+):  # fmt: skip
     if moved == "white":
         monkeypatch.setattr(conftest, "motion", white)
     drawn = [world(seed, duration=30.0) for seed in range(4)]
@@ -70,7 +72,7 @@ def test_smoother_process_beats_maximum_evidence_with_true_error_bars(world, mon
     assert 0.8 < np.mean(found[:, 1]) < 1.2
 
 
-def test_given_variances_are_used_unchanged(world, swept):
+def test_given_variances_are_used_unchanged(world, white_acceleration):
     drawn = world(0, duration=5.0)
     given = estimate(drawn.features, drawn.body, Estimation(method="smoother", precision="model"))
     np.testing.assert_array_equal(given.settings["process"], [0.3] * 3)

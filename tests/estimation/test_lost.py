@@ -212,7 +212,7 @@ def paused(features, since, gap):
 
 @pytest.mark.parametrize("gap", [3600.0, 1e7, 1.7e9])
 @pytest.mark.parametrize("method", ["laplace", "ekf", "smoother"])
-def test_pause_of_any_length_separates_its_sides(world, swept, method, gap):
+def test_pause_of_any_length_separates_its_sides(world, white_acceleration, method, gap):
     drawn = world(3, duration=8.0)
     t = drawn.features.joints.t
     found = estimate(paused(drawn.features, 4.0, gap), drawn.body, Estimation(method=method))

@@ -98,7 +98,7 @@ def test_inflated_variance_keeps_attributes_and_evidence_is_reported():
     plain, x = Explored(), np.array([[-0.9, -0.9, 1.0]])
     hypotheses = estimate(world.features, world.body, Estimation()).settings["hypotheses"]
     assert [(one["name"], one["chosen"], one["threshold"]) for one in hypotheses] == [
-        ("camera late", False, 8.0), ("camera moved", False, 20.0),
+        ("camera late", False, 8.0), ("camera moved", False, 20.0), ("white jerk", False, 0.0),
     ]  # fmt: skip
     unsure = InflatedVariance(plain, np.array([0.1, 0.2]))
     assert unsure.samples is plain.samples and unsure.outputs == plain.outputs

@@ -22,10 +22,13 @@ def single(t, readings, var, lines):
     return Readings(*(np.ascontiguousarray(part[..., None]) for part in (dt, readings, var, y, jac, noise)))
 
 
-@pytest.fixture(params=[(seed, drift) for seed in range(3) for drift in (False, True)])
+CASES = [(seed, drift, order) for seed in range(3) for drift in (False, True) for order in (2, 3)]
+
+
+@pytest.fixture(params=CASES)
 def irregular(request):
-    """Irregular times, joints silent now and then, pictures at some of them: (t, said, var, lines, pictures, drift)."""
-    seed, drift = request.param
+    """Irregular times, joints silent now and then, pictures at some: (t, readings, var, lines, pictures, dynamics)."""
+    seed, drift, order = request.param
     rng, count, m = np.random.default_rng(seed), 120, 3
     t = np.cumsum(rng.uniform(0.0005, 0.02, count))
     readings = 0.02 * rng.standard_normal((count, m)) + np.sin(t)[:, None]
@@ -38,12 +41,11 @@ def irregular(request):
     readings[pictures[:12]] = np.nan
     var = np.where(np.arange(count)[:, None] % 7 == 0, 4e-3, 1e-3) * np.ones(m)
     walk = np.array([1e-4, 0.0, 1e-5]) if drift else None
-    return t, readings, var, (y, jac, noise), pictures, walk
+    return t, readings, var, (y, jac, noise), pictures, Dynamics(np.array([0.3, 0.1, 0.5]), walk, order=order)
 
 
 def test_scan_of_blocks_equals_scan_of_their_readings(irregular):
-    t, readings, var, lines, pictures, walk = irregular
-    dynamics = Dynamics(np.array([0.3, 0.1, 0.5]), walk)
+    t, readings, var, lines, pictures, dynamics = irregular
     k = dynamics.size
     z, p = np.zeros((k, 1)), 0.5 * np.eye(k)[:, :, None]
     one_by_one = scan(single(t, readings, var, lines), dynamics, z, p)
@@ -67,13 +69,12 @@ def test_scan_of_blocks_equals_scan_of_their_readings(irregular):
 
 
 def test_blocks_move_as_many_times_as_much_as_their_instants(irregular):
-    t, readings, var, lines, pictures, walk = irregular
+    t, readings, var, lines, pictures, dynamics = irregular
     wanted = np.zeros(len(t), bool)
     wanted[pictures] = True
     events = pooling.kept(wanted)
     # as many times between two pictures, one of which ends each block
     more = np.exp(np.random.default_rng(1).normal(0, 1, (len(t), 3)))[np.searchsorted(pictures, np.arange(len(t)))]
-    dynamics = Dynamics(np.array([0.3, 0.1, 0.5]), walk)
     z, p = np.zeros((dynamics.size, 1)), 0.5 * np.eye(dynamics.size)[:, :, None]
     one_by_one = scan(replace(single(t, readings, var, lines), more=more[..., None]), dynamics, z, p)
     fold = Fold(len(events), len(events), 1)
@@ -89,15 +90,15 @@ def test_blocks_move_as_many_times_as_much_as_their_instants(irregular):
 
 
 def test_candidates_lie_side_by_side(irregular):
-    t, readings, var, _, pictures, walk = irregular
+    t, readings, var, _, pictures, dynamics = irregular
     wanted = np.zeros(len(t), bool)
     wanted[pictures] = True
     events = pooling.kept(wanted)
     few_readings, fold = pooling.blocks(t, readings, var, events, wanted), Fold(len(events), 20, -(-len(events) // 20))
     both = np.array([[0.3, 0.4], [0.1, 0.1], [0.5, 0.2]])
-    together = pooling.pooled(few_readings, Dynamics(both, walk), fold)
+    together = pooling.pooled(few_readings, replace(dynamics, process=both), fold)
     for index, process in enumerate(both.T):
-        alone = pooling.pooled(few_readings, Dynamics(process, walk), fold)
+        alone = pooling.pooled(few_readings, replace(dynamics, process=process), fold)
         for name in ("y", "var", "lean", "move", "shift", "noise", "nats"):
             np.testing.assert_array_equal(getattr(together, name)[..., index::2], getattr(alone, name))
 

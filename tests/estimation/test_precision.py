@@ -103,7 +103,7 @@ def test_variances_of_body_and_paper_presets_are_used(world):
     assert paper["encoder"] == [1.0] * 3
 
 
-def test_process_variance_of_undetermined_joints_is_the_encoders(world, monkeypatch, swept):
+def test_process_variance_of_undetermined_joints_is_the_encoders(world, monkeypatch, white_acceleration):
     monkeypatch.setattr(evidence_search, "least", lambda part, warned: (part.precision.process, 1.0))
     blind = conftest.Linear(np.array([[300.0, 0.0, 0.0], [0.0, 250.0, 0.0]]), np.array([160.0, 120.0]))
     for seed in range(3):
@@ -117,7 +117,7 @@ def test_process_variance_of_undetermined_joints_is_the_encoders(world, monkeypa
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_stretches_that_nearly_rest_are_enough_to_tune_by(world, monkeypatch, swept, seed):
+def test_stretches_that_nearly_rest_are_enough_to_tune_by(world, monkeypatch, white_acceleration, seed):
     drawn = world(seed, duration=30.0, encoder_hz=100.0, camera_hz=20.0, pixel_std=0.6)
     settings = Estimation(method="smoother", bias="off")
     nearly = estimate(drawn.features, drawn.body, settings).settings

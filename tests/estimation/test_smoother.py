@@ -23,6 +23,16 @@ def test_smoother_of_a_linear_body_is_the_rts_smoother(world, reference, linear_
     np.testing.assert_allclose(found.cov, expected.smooth_cov[at, :3, :3], atol=1e-9, rtol=0)
 
 
+def test_smoother_under_white_jerk_is_the_rts_smoother(world, reference, linear_model, white_jerk):
+    drawn = world(1, duration=8.0, model=linear_model, hidden=(2.0, 3.0))
+    found = estimate(drawn.features, drawn.body, MODEL)
+    expected = reference(drawn, white_jerk, np.full(3, 0.02**2), 0.4**2, order=3)
+    at = np.searchsorted(expected.t, found.joints.t)
+    np.testing.assert_allclose(found.joints.values, expected.smooth[at, :3], atol=1e-8, rtol=0)
+    np.testing.assert_allclose(found.rate.values, expected.smooth[at, 3:6], atol=1e-7, rtol=0)
+    np.testing.assert_allclose(found.cov, expected.smooth_cov[at, :3, :3], atol=1e-9, rtol=0)
+
+
 def test_smoother_last_row_is_the_filters(world, linear_model):
     drawn = world(5, duration=6.0, model=linear_model, camera_hz=10.0)
     track = drawn.features.tracks["effector"]

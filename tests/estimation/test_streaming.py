@@ -141,7 +141,7 @@ def test_frame_and_encoder_rates_may_differ(world, encoder_hz):
     check(drawn.features, drawn.body, replace(MODEL, rate=None if encoder_hz < 100 else 100.0))
 
 
-def test_variances_learned_from_a_log_are_used_live(world, swept):
+def test_variances_learned_from_a_log_are_used_live(world, white_acceleration):
     for seed, speed in ((0, 0.5), (1, 0.0)):
         drawn = world(seed, duration=6.0, speed=speed, blunder=0.05)
         batch = estimate(drawn.features, drawn.body, Estimation(bias="off"))
@@ -154,16 +154,17 @@ def test_variances_learned_from_a_log_are_used_live(world, swept):
     assert_same(beliefs, one)
 
 
-def test_smoother_settings_give_variances_for_the_live_filter(world):
-    drawn = world(0, duration=12.0)
-    alone = Estimation("smoother", senses=("encoders",))
-    settings = json.loads(json.dumps(estimate(drawn.features, drawn.body, alone).settings))
-    assert settings["order"] == 3
-    messages, learned = messages_of(drawn.features, drawn.body), (settings, settings["live"])
-    whole, part = (step(Estimator(drawn.body, MODEL, learned=one), messages) for one in learned)
-    for belief, same in zip(whole, part, strict=True):
-        np.testing.assert_array_equal(belief.x, same.x)
-    assert np.sqrt(settings["live"]["encoder"]) == pytest.approx([0.02] * 3, rel=0.1)
+def test_motion_learned_from_a_log_is_used_live(world):
+    drawn = world(0, duration=12.0, blunder=0.02)
+    batch, smooth = (estimate(drawn.features, drawn.body, Estimation(m, bias="off")) for m in ("laplace", "smoother"))
+    assert batch.settings["order"] == smooth.settings["order"] == 3
+    messages = messages_of(drawn.features, drawn.body)
+    for learned in (batch, smooth):
+        settings = json.loads(json.dumps(learned.settings))
+        assert_same(step(Estimator(drawn.body, MODEL, learned=settings), messages), batch)
+    late = messages_of(drawn.features, drawn.body, lambda sense: 0.06 if sense == "effector" else 0.0)
+    last = step(Estimator(drawn.body, MODEL, learned=batch.settings), late)[-1]
+    np.testing.assert_allclose(last.x, batch.joints.values[-1], atol=1e-9, rtol=0)
 
 
 @pytest.mark.parametrize("encoder", [None, "loud", [1.0], [1e-4, 1e-4, 0.0], [1e-4, 1e-4, float("nan")]])
@@ -368,20 +369,21 @@ def test_joints_in_two_halves_start_once_all_are_known(world):
     np.testing.assert_allclose(belief.x, 0.1, atol=1e-9)
 
 
+@pytest.mark.parametrize("order", [2, 3])
 @pytest.mark.parametrize("offsets", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_encoder_steps_equal_the_matrix_form(seed, offsets):
+def test_encoder_steps_equal_the_matrix_form(seed, offsets, order):
     rng = np.random.default_rng(seed)
     m = 3
     drift = np.array([1e-4, 0.0, 1e-5]) if offsets else None
-    motion = Motion(Dynamics(rng.uniform(0.1, 1.0, m), drift))
-    k = motion._still.shape[0]
+    dynamics = Dynamics(rng.uniform(0.1, 1.0, m), drift, order=order)
+    motion, k = Motion(dynamics), dynamics.size
     root = rng.normal(size=(k, k))
     z, p, var = rng.normal(size=k), root @ root.T / k, rng.uniform(1e-4, 1e-2, m)
     stated = np.where(rng.random(m) < 0.3, np.nan, z[:m] + rng.normal(size=m) * (1.0, 1.0, 9.0))  # the last is gated
     moved_z, moved_p = motion.move(z, p, 0.013)
     found = hear(motion, moved_z, moved_p, stated, var, [])
-    steps = EncoderSteps(motion._spread[0].diagonal()[m : 2 * m].copy(), drift, var)
+    steps = EncoderSteps(dynamics, var)
     belief = steps.moved(np.column_stack([p, z]), 0.013)
     np.testing.assert_allclose(belief, np.column_stack([moved_p, moved_z]), atol=1e-12, rtol=0)
     nats, d = steps.condition(belief, stated.tolist())

@@ -70,7 +70,7 @@ def test_offset_search_ignores_the_smoothers_forward_lag(world, learned, monkeyp
         assert not estimate(drawn.features, learned, Estimation(method="smoother")).faults
 
 
-def test_offset_score_decreases_with_a_smoothers_lag(world, learned, monkeypatch, swept):
+def test_offset_score_decreases_with_a_smoothers_lag(world, learned, monkeypatch, white_acceleration):
     scored, named = [], "offset_score"
     monkeypatch.setattr(encoder_offset, named, lambda *given: scored.append(offset_score(*given)) or scored[-1])
     for seed in (2, 3):

@@ -60,7 +60,7 @@ def test_live_filter_uses_given_variances(world):
     np.testing.assert_allclose([beliefs[t].x for t in batch.joints.t], batch.joints.values, atol=1e-9, rtol=0)
 
 
-def test_learned_variances_do_not_replace_given_ones(world):
+def test_learned_variances_do_not_replace_given_ones(world, white_acceleration):
     drawn = world(6, duration=6.0)
     typed = Estimation(sigma_encoders={"lift": 2.5e-4}, sigma_vision={"effector": 0.3}, process={"pan": 0.7})
     found = estimate(drawn.features, drawn.body, typed).settings

@@ -40,7 +40,7 @@ def test_views_omit_touch_and_tracks_never_seen():
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
-def test_settings_say_how_the_arm_moves_out_of_view(world, swept, method):
+def test_settings_say_how_the_arm_moves_out_of_view(world, white_acceleration, method):
     hidden, seen = world(0, hidden=(8.0, 11.0)), world(0)
     found = estimate(hidden.features, hidden.body, Estimation(method=method)).settings
     assert list(found["process_in_view"]) == ["none"]

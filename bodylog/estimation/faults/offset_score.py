@@ -11,6 +11,7 @@ import numpy as np
 from ...types import Array
 from ..inference.conditioning import raised
 from ..inference.initial_path import OFFSET_STD
+from ..inference.motion import carry
 from ..inference.problem import Problem
 from ..inference.solution import Solution
 from ..measurements.long_arrays import seen as seen_rows
@@ -48,7 +49,7 @@ def offset_score(problem: Problem, solved: Solution, walk: float) -> tuple[Array
     visual = [track for track, s in zip(tracks, problem.evidence.sightings, strict=True) if s.name != "touch"]
     if not visual:
         return np.zeros(len(problem.start)), *np.zeros((2, 1, len(problem.start)))
-    shift = _shift(solved, tracks)
+    shift = _shift(solved, tracks, problem.precision.order)
     score, weight = _by_encoders(solved, shift)
     for track in visual:
         psi = -np.einsum("dmf,mkf->dkf", track.jac, _at(solved, shift, track.events))
@@ -103,7 +104,7 @@ def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
     return np.asarray((model * (2.0 * duplicates - 2.0)[:, None]).T)
 
 
-def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
+def _shift(solved: Solution, tracks: list[_Frames], order: int) -> Array:
     """Derivative (L,M,M,C) of the predicted belief at each instant with respect to each encoder's offset."""
     readings, trace = solved.readings, solved.trace
     gated = raised(readings.encoder_var, _spread(solved), trace.encoder_d**2)
@@ -114,41 +115,40 @@ def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
         stiff.reshape(-1)[_places(solved, stiff, track.events)] += track.stiff
     # pseudo-readings of the posture prior have no offset
     weight = np.where(np.isfinite(trace.encoder_d), information, 0.0)
-    shift, begin, m = np.empty_like(stiff), _first_shift(weight), weight.shape[1]
+    shift, begin = np.empty_like(stiff), _first_shift(weight, order)
     for sweep in range(PASSES):
         # the first guess is so rough that half of each segment forgets it about as well
         rows = slice(0 if sweep else len(shift) // 2, None)
         parts = (part[rows] for part in (shift, readings.dt, stiff, weight, trace.p))
         end = _propagate(begin.copy(), *parts)
-        moved, begin[..., 1:] = np.abs(end[:m, :, :-1] - begin[:m, :, 1:]).max(initial=0.0), end[..., :-1]
+        moved, begin[..., 1:] = np.abs(end[0, ..., :-1] - begin[0, ..., 1:]).max(initial=0.0), end[..., :-1]
         if sweep and moved < STILL:
             break
     return shift
 
 
-def _first_shift(weight: Array) -> Array:
-    """First guess (2M,M,C) of the derivative at the start of segments: 1 for encoders with readings."""
+def _first_shift(weight: Array, order: int) -> Array:
+    """First guess (O,M,M,C) of the derivative at the start of segments: 1 for encoders with readings."""
     _, m, c = weight.shape
-    begin = np.zeros((2 * m, m, c))
-    begin[np.arange(m), np.arange(m), 1:] = np.any(weight > 0, axis=(0, 2), keepdims=True)[0]
+    begin = np.zeros((order, m, m, c))
+    begin[0, np.arange(m), np.arange(m), 1:] = np.any(weight > 0, axis=(0, 2), keepdims=True)[0]
     return begin
 
 
 def _propagate(
     moved: Array, shift: Array, dt: Array, stiff: Array, weight: Array, p: Array
 ) -> Array:  # fmt: skip
-    """Propagate derivatives `moved` (2M,M,C) of angles and rates through all segments into `shift`; return the end."""
-    m, stretches = weight.shape[1:]
-    angles, rates, force = moved[:m], moved[m:], np.empty((m, m, stretches))
+    """Propagate the states' derivatives `moved` (O,M,M,C) through all segments into `shift`; return the end."""
+    (m, stretches), states = weight.shape[1:], moved.reshape(-1, *moved.shape[2:])
+    force = np.empty((m, m, stretches))
     own = force.reshape(m * m, stretches)[:: m + 1]
     for i, step in enumerate(dt):
-        np.add(angles, step * rates, out=shift[i])
+        carry(moved, step)
+        shift[i] = moved[0]
         np.einsum("ijc,jkc->ikc", stiff[i], shift[i], out=force)
         own -= weight[i]
         # x⁺ − x⁻ = P⁺ Hᵀ R⁻¹ ν
-        pulled = np.einsum("aic,ikc->akc", p[i, : 2 * m, :m], force)
-        np.subtract(shift[i], pulled[:m], out=angles)
-        rates -= pulled[m:]
+        states -= np.einsum("aic,ikc->akc", p[i, : len(states), :m], force)
     return moved
 
 

@@ -4,7 +4,8 @@ import numpy as np
 
 from ...types import Array
 from .conditioning import MANY
-from .filter_records import KnotReadings, Pooled, Readings
+from .filter_records import PAIRS, KnotReadings, Pooled, Readings
+from .motion import carry_back
 from .scan import EVEN, Trace
 
 
@@ -13,8 +14,11 @@ def means(trace: Trace, after: Array) -> Array:
     return np.asarray(trace.z - np.einsum("iklc,ilc->ikc", trace.p, after))
 
 
-def adjoints(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array]:
-    """Adjoints (L,K,C) after each instant and (K,C) before the first, from the adjoint at the `end` (K,C)."""
+def adjoints(readings: Readings, trace: Trace, end: Array, order: int) -> tuple[Array, Array]:
+    """Adjoints (L,K,C) after each instant and (K,C) before the first, from the adjoint at the `end` (K,C).
+
+    order: the motion's.
+    """
     assert trace.back is not None
     gains, weights, nus = trace.back
     adjoint, after, m = end.copy(), np.empty_like(trace.z), readings.encoders.shape[1]
@@ -25,23 +29,23 @@ def adjoints(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array
         for row in used[i]:
             pull = np.einsum("kc,kc->c", gains[i, row], adjoint) + push[i, row]
             if row < m:
-                adjoint[row :: 2 * m] -= pull  # angle and, where there is one, offset
+                adjoint[row :: order * m] -= pull  # angle and, where there is one, offset
             else:
                 adjoint[:m] -= jac[i, row - m] * pull
         if readings.reset is not None:
-            adjoint *= _kept(readings.reset[i], len(adjoint))
+            adjoint *= _kept(readings.reset[i], len(adjoint), order)
         if isinstance(readings, KnotReadings):
             assert trace.left is not None
             _undo_pooled(readings.pooled, i, adjoint, trace.left[i])
         else:
-            adjoint[m : 2 * m] += readings.dt[i] * adjoint[:m]
+            carry_back(adjoint[: order * m].reshape(order, m, -1), readings.dt[i])
     return after, adjoint
 
 
-def _kept(reset: Array, states: int) -> Array:
+def _kept(reset: Array, states: int, order: int) -> Array:
     """States (K,C) bool that survive a reset of joints `reset` (M,C); the adjoint of the others becomes zero."""
     keep, m = np.ones((states, reset.shape[1]), bool), len(reset)
-    keep[:m] = keep[m : 2 * m] = ~reset
+    keep[: order * m] = np.tile(~reset, (order, 1))
     return keep
 
 
@@ -53,17 +57,22 @@ def _undo_pooled(pooled: Pooled, i: int, adjoint: Array, left: Array) -> None:
     lean, parts = pooled.lean[i], adjoint.reshape(pooled.shift[i].shape)
     parts[:] = np.einsum("abjc,ajc->bjc", pooled.move[i], parts)
     smooth = (left[:, -1] - np.einsum("klc,lc->kc", left[:, :-1], adjoint)).reshape(parts.shape)
-    lack = pooled.y[i] - smooth[:2]
-    lack[0] -= lean * smooth[1]
-    if len(parts) > 2:
-        lack[0] -= smooth[2]
+    order = len(pooled.y[i])
+    lack = pooled.y[i] - smooth[:order]
+    for own, (low, high) in zip(lean, PAIRS[order], strict=True):
+        lack[low] -= own * smooth[high]
+    if len(parts) > order:
+        lack[0] -= smooth[order]
     lack /= pooled.var[i]
-    parts[::2] -= lack[0]
-    parts[1] -= lean * lack[0] + lack[1]
+    parts[:order] -= lack
+    for own, (low, high) in zip(lean, PAIRS[order], strict=True):
+        parts[high] -= own * lack[low]
+    if len(parts) > order:
+        parts[order] -= lack[0]
 
 
-def covariances(readings: Readings, trace: Trace) -> Array:
-    """Smoothed covariances (L,M,M,C) of the angles.
+def covariances(readings: Readings, trace: Trace, order: int) -> Array:
+    """Smoothed covariances (L,M,M,C) of the angles; order: the motion's.
 
     The information Λ of everything after a stretch becomes W + Ψ Λ Ψᵀ at an earlier instant, where Ψ maps adjoints at
     the end back to that instant. The smoothed covariance is the one for Λ = 0 minus R Λ Rᵀ, with R = P Ψ.
@@ -77,13 +86,13 @@ def covariances(readings: Readings, trace: Trace) -> Array:
         half = np.einsum("jkc,klc->jlc", p[:m], known)
         np.subtract(p[:m, :m], np.einsum("jlc,lkc->jkc", half[:, :k], p[:, :m]), out=cov[i])
         reach[i] = half[:, k:]
-        _undo_rows(readings, trace, i, used[i], known)
+        _undo_rows(readings, trace, i, used[i], known, order)
         if readings.reset is not None:
-            keep = _kept(readings.reset[i], k)
+            keep = _kept(readings.reset[i], k, order)
             known *= keep[:, None]
             known[:, :k] *= keep
-        known[m : 2 * m] += dt * known[:m]
-        known[:, m : 2 * m] += dt * known[:, :m]
+        carry_back(known[: order * m].reshape(order, m, 2 * k, c), dt)
+        carry_back([known[:, state * m : state * m + m] for state in range(order)], dt)
         if i % EVEN == 0:
             known[:, :k] = 0.5 * (known[:, :k] + known[:, :k].transpose(1, 0, 2))
     ends = _ends(known)
@@ -102,7 +111,7 @@ def _ends(at_start: Array) -> Array:
     return np.ascontiguousarray(np.moveaxis(ends, 0, -1))
 
 
-def _undo_rows(readings: Readings, trace: Trace, i: int, rows: list[int], information: Array) -> None:
+def _undo_rows(readings: Readings, trace: Trace, i: int, rows: list[int], information: Array, order: int) -> None:
     """Carry W and Ψ (K,2K,C) back over the rows of instant i, in reverse order."""
     assert trace.back is not None
     gains, weights, _ = (part[i] for part in trace.back)
@@ -110,9 +119,9 @@ def _undo_rows(readings: Readings, trace: Trace, i: int, rows: list[int], inform
     tracks = [row for row in rows if row >= m]
     for row in rows[: len(rows) - len(tracks)]:
         b, curve = _row_information(information, gains[row], weights[row])
-        information[row :: 2 * m] -= b
-        information[:, row : k : 2 * m] -= b[:k, None]
-        information[row :: 2 * m, row : k : 2 * m] += curve
+        information[row :: order * m] -= b
+        information[:, row : k : order * m] -= b[:k, None]
+        information[row :: order * m, row : k : order * m] += curve
     seen = np.flatnonzero(weights[m:].any(axis=0)) if tracks else np.empty(0, int)
     few = len(seen) < MANY * information.shape[2]
     some, jac = (part.take(seen, axis=-1) if few else part for part in (information, readings.jac[i]))

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ...types import Array
+from .filter_records import PAIRS
 
 if TYPE_CHECKING:
-    from .filter_records import Pooled, Readings
+    from .filter_records import Dynamics, Pooled, Readings
 
 MANY = 0.6
 """Share of stretches above which all are updated in place instead of copying some out and back."""
@@ -50,7 +51,7 @@ class Rows(NamedTuple):
 
 
 def update(
-    readings: "Readings", measured: tuple[Rows, Rows], i: int, seen: Array, is_prior: Array | None, belief: Array,
+    readings: "Readings", measured: tuple[Rows, Rows], i: int, seen: Array, dynamics: "Dynamics", belief: Array,
     encoder_d: Array, back: AdjointRecord,
 ) -> None:  # fmt: skip
     """Condition the belief in place on all measurements of instant i; tracks only in the stretches `seen`.
@@ -61,58 +62,59 @@ def update(
     m, projected = encoders.y.shape[1], encoders.at(i)
     spoken = bool(projected.present.any())
     if spoken:
-        var, encoder_d[:] = _gated_encoders(readings.encoders[i], projected.var, is_prior, belief)
+        var, encoder_d[:] = _gated_encoders(readings.encoders[i], projected.var, dynamics, belief)
     else:
         encoder_d[:] = np.nan
     if len(seen):
         _condition_tracks(tracks, readings.jac, i, seen, belief, back.at(slice(m, m + 2 * tracks.y.shape[1])))
     if spoken:
-        _condition_encoders(projected._replace(var=var), belief, back.at(slice(m)))
+        _condition_encoders(projected._replace(var=var), belief, back.at(slice(m)), dynamics.offset)
 
 
-def _condition_encoders(measured: Rows, belief: Array, back: AdjointRecord) -> None:
+def _condition_encoders(measured: Rows, belief: Array, back: AdjointRecord, offset: int | None) -> None:
     """Condition the belief in place on the encoders' rows (M,C)."""
-    m, offsets = len(measured.y), len(belief) > 2 * len(measured.y)
-    projected = np.empty((m, *belief.shape[1:]))
+    projected = np.empty((len(measured.y), *belief.shape[1:]))
     for j, ph in enumerate(projected):
         ph[:] = belief[j]
-        if offsets:
-            ph += belief[2 * m + j]
+        if offset is not None:
+            ph += belief[offset + j]
         s = ph[j] + measured.var[j]
-        if offsets:
-            s += ph[2 * m + j]
+        if offset is not None:
+            s += ph[offset + j]
         np.divide(measured.present[j], s, out=back.weights[j])
         ph[-1] -= measured.y[j]
         _condition(belief, ph, back, j)
     np.negative(projected[:, -1], out=back.nus)
 
 
-def condition_pooled(pooled: "Pooled", i: int, belief: Array, back: AdjointRecord, left: Array | None) -> None:
+def condition_pooled(
+    pooled: "Pooled", i: int, belief: Array, back: AdjointRecord, left: Array | None, offset: int | None
+) -> None:
     """Condition the belief in place on the readings pooled before instant i, ungated, and move it to that instant.
 
     `left` (K,K+1,C) receives the belief before the move.
     """
     lean, (y, var) = pooled.lean[i], (pooled.y[i], pooled.var[i])
-    m, offsets = len(lean), len(belief) > 2 * len(lean)
-    projected = np.empty((2 * m, *belief.shape[1:]))
-    for j, ph in enumerate(projected[:m]):
-        np.multiply(lean[j], belief[m + j], out=ph)
-        ph += belief[j]
-        if offsets:
-            ph += belief[2 * m + j]
-        s = lean[j] * ph[m + j]
-        s += ph[j]
-        if offsets:
-            s += ph[2 * m + j]
-        s += var[0, j]
-        np.divide(1.0, s, out=back.weights[j])
-        ph[-1] -= y[0, j]
-        _condition(belief, ph, back, j)
-    for j, ph in enumerate(projected[m:]):
-        ph[:] = belief[m + j]
-        np.divide(1.0, ph[m + j] + var[1, j], out=back.weights[m + j])
-        ph[-1] -= y[1, j]
-        _condition(belief, ph, back, m + j)
+    order, m, _ = y.shape
+    projected = np.empty((order * m, *belief.shape[1:]))
+    for row, ph in enumerate(projected):
+        state, j = divmod(row, m)
+        ph[:] = belief[row]
+        for pair, (low, high) in enumerate(PAIRS[order]):
+            if low == state:
+                ph += lean[pair, j] * belief[high * m + j]
+        own = state == 0 and offset is not None
+        if own:
+            ph += belief[offset + j]
+        s = ph[row] + var[state, j]
+        for pair, (low, high) in enumerate(PAIRS[order]):
+            if low == state:
+                s += lean[pair, j] * ph[high * m + j]
+        if own:
+            s += ph[offset + j]
+        np.divide(1.0, s, out=back.weights[row])
+        ph[-1] -= y[state, j]
+        _condition(belief, ph, back, row)
     np.negative(projected[:, -1], out=back.nus)
     if left is not None:
         left[:] = belief
@@ -186,17 +188,17 @@ def _gated(projected: Array, s: Array, y: Array, var: Array, present: Array) -> 
     return raised(var, total, nu[0] * nu[0] / total[0] + rest * rest / (total[1] - share * s[0, 1]))
 
 
-def _gated_encoders(y: Array, var: Array, is_prior: Array | None, belief: Array) -> tuple[Array, Array]:
+def _gated_encoders(y: Array, var: Array, dynamics: "Dynamics", belief: Array) -> tuple[Array, Array]:
     """Gated encoder variances (M,C), and innovations of y (M,C) in standard deviations, NaN if silent."""
-    m, diagonal = len(y), np.einsum("iic->ic", belief[:, :-1])
+    m, diagonal, offset = len(y), np.einsum("iic->ic", belief[:, :-1]), dynamics.offset
     total, nu = diagonal[:m] + var, y - belief[:m, -1]
-    if len(belief) > 2 * m:
-        total += diagonal[2 * m :] + 2.0 * np.einsum("iic->ic", belief[:m, 2 * m : -1])
-        nu -= belief[2 * m :, -1]
+    if offset is not None:
+        total += diagonal[offset:] + 2.0 * np.einsum("iic->ic", belief[:m, offset:-1])
+        nu -= belief[offset:, -1]
     np.maximum(total, var, out=total)  # rounding takes a variance below 0 after a reading far surer than the belief
     d = nu / np.sqrt(total)
-    if is_prior is not None:
-        d[is_prior] = np.nan
+    if dynamics.is_prior is not None:
+        d[dynamics.is_prior] = np.nan
     return raised(var, total, d * d), d
 
 

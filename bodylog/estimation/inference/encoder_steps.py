@@ -11,32 +11,40 @@ import numpy as np
 
 from ...types import Array
 from .conditioning import GATE
+from .filter_records import Dynamics
+from .motion import SPREADS
 
 _LOG = math.log(2.0 * math.pi)
 
 
 class EncoderSteps:
-    """Motion with white acceleration and encoder offsets with random walks, and encoders of given variances."""
+    """Motion and encoder offsets of given dynamics, and encoders of given variances."""
 
-    def __init__(self, process: Array, drift: Array | None, encoder: Array) -> None:
-        """Process (M,) rad²/s³, random walks of offsets (M,) rad²/s or None, encoder variances (M,) rad²."""
-        m = self.joints = len(process)
-        self._var, self._offsets = encoder.tolist(), 0 if drift is None else 2 * m
-        size, angles = m * (2 if drift is None else 3), np.arange(m)
-        self._spread = np.zeros((3, size, size + 1))
-        self._spread[0, m + angles, m + angles] = process
-        self._spread[1, angles, m + angles] = self._spread[1, m + angles, angles] = process / 2.0
-        self._spread[2, angles, angles] = process / 3.0
-        if drift is not None:
-            self._spread[0, 2 * m + angles, 2 * m + angles] = drift
-        self._flat = self._spread.reshape(3, -1)
+    def __init__(self, dynamics: Dynamics, encoder: Array) -> None:
+        """Dynamics with process (M,), and encoder variances (M,) rad²."""
+        m, order, size = len(dynamics.process), dynamics.order, dynamics.size
+        self.joints, self._order = m, order
+        self._var, self._offsets, each = encoder.tolist(), dynamics.offset or 0, np.arange(m)
+        spread = np.zeros((2 * order - 1, size, size + 1))
+        for row, column, power, scale in SPREADS[order]:
+            spread[power - 1, row * m + each, column * m + each] = dynamics.process / scale
+        if dynamics.drift is not None:
+            spread[0, order * m + each, order * m + each] = dynamics.drift
+        self._flat = spread.reshape(len(spread), -1)
 
     def moved(self, belief: Array, dt: float) -> Array:
         """The belief (K,K+1) after dt (s)."""
         m, found = self.joints, belief.copy()
         found[:m] += dt * belief[m : 2 * m]
+        if self._order > 2:
+            found[:m] += (0.5 * dt * dt) * belief[2 * m : 3 * m]
+            found[m : 2 * m] += dt * belief[2 * m : 3 * m]
+            found[:, :m] += (0.5 * dt * dt) * found[:, 2 * m : 3 * m]
         found[:, :m] += dt * found[:, m : 2 * m]
-        found += np.array((dt, dt * dt, dt * dt * dt)).dot(self._flat).reshape(found.shape)
+        if self._order > 2:
+            found[:, m : 2 * m] += dt * found[:, 2 * m : 3 * m]
+        powers = [dt**power for power in range(1, 2 * self._order)]
+        found += np.array(powers).dot(self._flat).reshape(found.shape)
         return found
 
     def condition(self, belief: Array, readings: Sequence[float]) -> tuple[float, list[float]]:

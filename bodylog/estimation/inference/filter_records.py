@@ -4,31 +4,41 @@ from dataclasses import dataclass, field
 
 from ...types import Array
 
+PAIRS = {2: ((0, 1),), 3: ((0, 1), (0, 2), (1, 2))}
+"""Pairs of a derivative of the angle and a higher one, by the motion's order."""
+
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """White acceleration (M,) rad²/s³ · random walk (M,) rad²/s of encoder offsets, or None; or (M,C).
+    """White acceleration (M,) rad²/s³, or jerk rad²/s⁵ · random walk (M,) rad²/s of offsets, or None; or (M,C).
 
-    is_prior (M,) bool: joints whose readings come from the posture prior; they do not count as evidence.
+    is_prior (M,) bool: joints whose readings come from the posture prior; they do not count as evidence · order: 2 for
+    white acceleration, 3 for white jerk. A state holds all joints' angles, rates[, accelerations][, encoder offsets].
     """
 
     process: Array
     drift: Array | None = None
     is_prior: Array | None = None
+    order: int = 2
 
     @property
     def size(self) -> int:
         """Length K of the state."""
-        return len(self.process) * (2 if self.drift is None else 3)
+        return len(self.process) * (self.order + (self.drift is not None))
+
+    @property
+    def offset(self) -> int | None:
+        """Index of the first encoder offset in the state; None without offsets."""
+        return None if self.drift is None else self.order * len(self.process)
 
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
     """Encoder readings since the last instant, folded (L,…,C), per joint with its S = K/M states.
 
-    Two readings of the state at that instant, y, var (L,2,M,C), infinite if absent: of angle + lean (L,M,C) · rate
-    (+ offset), and of the rate. Given them the state moves by move (L,S,S,M,C), shift (L,S,M,C) with noise
-    (L,S,S,M,C); nats (L,C) remain.
+    A reading y, var (L,O,M,C), infinite if absent, of each derivative at that instant, up to the motion's order O: of
+    derivative r plus lean (L,P,M,C) times each higher one s, for the pairs (r, s) of `PAIRS`, plus the offset for
+    r = 0. Given them the state moves by move (L,S,S,M,C), shift (L,S,M,C) with noise (L,S,S,M,C); nats (L,C) remain.
     """
 
     y: Array

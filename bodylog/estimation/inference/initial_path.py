@@ -21,11 +21,11 @@ OFFSET_STD = 0.01
 
 def prior(problem: "Problem") -> tuple[Array, Array]:
     """State z (K,) and covariance p (K,K) before any measurement."""
-    m, drift = len(problem.start), problem.precision.drift
-    z = np.concatenate([problem.start, np.zeros(problem.dynamics.size - m)])
-    var = np.full(len(z), START_STD**2)
+    m, drift, dynamics = len(problem.start), problem.precision.drift, problem.dynamics
+    z = np.concatenate([problem.start, np.zeros(dynamics.size - m)])
+    var = np.repeat(np.square(START_STD[: dynamics.order]), m)
     if drift is not None:
-        var[2 * m :] = np.where(drift > 0, OFFSET_STD**2, 0.0)
+        var = np.append(var, np.where(drift > 0, OFFSET_STD**2, 0.0))
     return z, np.diag(var)
 
 
@@ -77,6 +77,7 @@ def _reckon(readings: KnotReadings, dynamics: Dynamics, z: Array, p: Array) -> t
 
     between = readings.pooled
     unseen = np.empty((length, 0, 2, m * c)), np.empty((length, 0, 2, 1, m * c)), np.empty((length, 0, 2, m * c))
+    order = dynamics.order
     alone = KnotReadings(
         np.tile(readings.dt, m), apart(readings.encoders), apart(readings.encoder_var), *unseen,
         Pooled(
@@ -86,7 +87,8 @@ def _reckon(readings: KnotReadings, dynamics: Dynamics, z: Array, p: Array) -> t
         reset=None if readings.reset is None else apart(readings.reset),
     )  # fmt: skip
     own = np.einsum("ajbjc->abjc", p.reshape(s, m, s, m, c)).reshape(s, s, m * c)
-    trace = scan(alone, Dynamics(np.ones(1), None if s == 2 else np.zeros(1)), z.reshape(s, m * c), own)
+    one = Dynamics(np.ones(1), None if s == order else np.zeros(1), order=order)
+    trace = scan(alone, one, z.reshape(s, m * c), own)
     whole = np.zeros((s, m, s, m, c))
     np.einsum("ajbjc->abjc", whole)[:] = trace.p[-1].reshape(s, s, m, c)
     z, p = handed_over(z, p, trace.z[-1].reshape(z.shape), whole.reshape(p.shape))

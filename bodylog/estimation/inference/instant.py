@@ -4,6 +4,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import factorial
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from .conditioning import GATE
 from .filter_records import Dynamics
+from .motion import SPREADS
 
 ITERATIONS = 40
 RESTING = 1e-9
@@ -37,28 +39,31 @@ class StepResult:
 
 
 class Motion:
-    """Constant-velocity motion, exactly discretised, in plain matrices."""
+    """Motion with white acceleration or jerk, exactly discretised, in plain matrices."""
 
     def __init__(self, dynamics: Dynamics) -> None:
         """Motion for dynamics with process (M,)."""
-        k, m = dynamics.size, len(dynamics.process)
-        angles, rates = np.arange(m), np.arange(m, 2 * m)
-        self.joints, self.offsets, self.is_prior = m, k > 2 * m, dynamics.is_prior
-        self._still, self._shift, self._spread = np.eye(k), np.zeros((k, k)), np.zeros((3, k, k))
-        self._shift[angles, rates] = 1.0
-        self._spread[0, rates, rates] = dynamics.process
-        self._spread[1, angles, rates] = self._spread[1, rates, angles] = dynamics.process / 2.0
-        self._spread[2, angles, angles] = dynamics.process / 3.0
+        k, m, order = dynamics.size, len(dynamics.process), dynamics.order
+        self.joints, self.order, self.offset, self.is_prior = m, order, dynamics.offset, dynamics.is_prior
+        self._shifts, self._spread, each = [np.eye(k)], np.zeros((2 * order - 1, k, k)), np.arange(m)
+        for lag in range(1, order):
+            self._shifts.append(np.eye(k, k, lag * m) / factorial(lag))
+            self._shifts[-1][(order - lag) * m :] = 0.0
+        for row, column, power, scale in SPREADS[order]:
+            self._spread[power - 1, row * m + each, column * m + each] = dynamics.process / scale
         if dynamics.drift is not None:
-            self._spread[0, range(2 * m, k), range(2 * m, k)] = dynamics.drift
+            self._spread[0, range(order * m, k), range(order * m, k)] = dynamics.drift
 
     def move(self, z: Array, p: Array, dt: float, more: Array | None = None) -> tuple[Array, Array]:
         """z (K,) and p (K,K) after dt (s), with `more` (M,) times the process variance."""
-        linear, square, cube = self._spread
-        f = self._still + dt * self._shift
-        spread = dt * (linear + dt * (square + dt * cube))
+        f, spread, power = self._shifts[0], np.zeros_like(p), 1.0
+        for shift in self._shifts[1:]:
+            power *= dt
+            f = f + power * shift
+        for one in self._spread[::-1]:
+            spread = dt * (one + spread)
         if more is not None:
-            spread[: 2 * self.joints] *= np.tile(more, 2)[:, None]
+            spread[: self.order * self.joints] *= np.tile(more, self.order)[:, None]
         p = f @ p @ f.T + spread
         return f @ z, 0.5 * (p + p.T)
 
@@ -118,8 +123,8 @@ def _gated_encoders(motion: Motion, z: Array, p: Array, readings: Array, var: Ar
     """Encoder variances (M,) after gating, and the innovations in standard deviations (M,)."""
     m, diagonal = motion.joints, np.diagonal(p)
     s, nu = diagonal[:m] + var, readings - z[:m]
-    if motion.offsets:
-        s, nu = s + diagonal[2 * m :] + 2.0 * np.diagonal(p[:m, 2 * m :]), nu - z[2 * m :]
+    if motion.offset is not None:
+        s, nu = s + diagonal[motion.offset :] + 2.0 * np.diagonal(p[:m, motion.offset :]), nu - z[motion.offset :]
     d = nu / np.sqrt(s)
     gated, own = var + s * _excess(d * d), motion.is_prior
     return (gated, d) if own is None else (np.where(own, var, gated), np.where(own, np.nan, d))
@@ -132,13 +137,13 @@ def _excess(d2: Array) -> Array:
 
 def _encoders(motion: Motion, z: Array, p: Array, readings: Array, var: Array) -> tuple[Array, Array, float]:
     """z, p given the encoders, one after the other, and the nats of those not from the posture prior."""
-    z, p, m, nats = z.copy(), p.copy(), motion.joints, 0.0
+    z, p, offset, nats = z.copy(), p.copy(), motion.offset, 0.0
     for j in np.flatnonzero(np.isfinite(readings)):
         ph, nu = p[:, j].copy(), float(readings[j] - z[j])
-        if motion.offsets:
-            ph += p[:, 2 * m + j]
-            nu -= float(z[2 * m + j])
-        s = float(ph[j] + (ph[2 * m + j] if motion.offsets else 0.0) + var[j])
+        if offset is not None:
+            ph += p[:, offset + j]
+            nu -= float(z[offset + j])
+        s = float(ph[j] + (0.0 if offset is None else ph[offset + j]) + var[j])
         if not s > 0.0:
             raise np.linalg.LinAlgError(f"encoder {j + 1} has the predicted variance {s:.3g} rad²")
         gain = ph / s

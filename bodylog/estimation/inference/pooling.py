@@ -2,7 +2,7 @@
 
 Given the state at an instant, joints are independent until the next image. One joint's readings in between form a
 single element (A, b, C, η, J) of Särkkä & García-Fernández (2021, "Temporal parallelization of Bayesian smoothers").
-Here the η, J part is written as two readings of the state before.
+Here the η, J part is written as readings of the state before.
 """
 
 from dataclasses import dataclass
@@ -10,15 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
-from .filter_records import Dynamics, Pooled
+from .filter_records import PAIRS, Dynamics, Pooled
 from .folds import Fold
+from .motion import carry, grow
 
 MOST = 24
 """Most instants pooled into one."""
 LOUD = 4.0
 """Robust standard deviations of second differences; a reading beyond is not pooled, so that the gate applies."""
 SINGULAR = 1e-12
-"""Share of the rate's information below which it is rounding."""
+"""Share of a derivative's information below which it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,15 +72,15 @@ def pooled(between: Blocks, dynamics: Dynamics, fold: Fold, more: Array | None =
     m = len(dynamics.process)
     levels, which = _levels(dynamics.process.reshape(m, -1))
     process = levels[:, :, None] if more is None else levels[:, :, None] * more.T[:, None]
-    shape = (dynamics.size // m, *levels.shape, between.dt.shape[1])
+    order, shape = dynamics.order, (dynamics.size // m, *levels.shape, between.dt.shape[1])
     move, shift, noise = np.zeros((shape[0], *shape)), np.zeros(shape), np.zeros((shape[0], *shape))
     np.einsum("ss...->s...", move)[:] = 1.0
-    word, nats = np.zeros((5, *shape[1:])), np.zeros(shape[1:])
+    information, nats = np.zeros((order, order + 1, *shape[1:])), np.zeros(shape[1:])
     for y, var, dt in zip(between.y, between.var, between.dt[:-1], strict=True):
-        _carry(move, shift, noise, dt, process, dynamics.drift)
-        _condition(move, shift, noise, word, nats, y.T[:, None], var.T[:, None])
-    _carry(move, shift, noise, between.dt[-1], process, dynamics.drift)
-    y, var, lean, left = _as_readings(word)
+        _carry(move, shift, noise, dt, process, dynamics)
+        _condition(move, shift, noise, information, nats, y.T[:, None], var.T[:, None])
+    _carry(move, shift, noise, between.dt[-1], process, dynamics)
+    y, var, lean, left = _as_readings(information)
     counted = 1.0 if dynamics.is_prior is None else ~dynamics.is_prior[:, None, None]
 
     def folded(a: Array, fill: float | Array = 0.0) -> Array:
@@ -100,29 +101,33 @@ def _levels(process: Array) -> tuple[Array, Array]:
     return np.stack([np.pad(v, (0, most - len(v)), "edge") for v, _ in found]), np.stack([w for _, w in found])
 
 
-def _carry(move: Array, shift: Array, noise: Array, dt: Array, process: Array, drift: Array | None) -> None:
+def _carry(move: Array, shift: Array, noise: Array, dt: Array, process: Array, dynamics: Dynamics) -> None:
     """Move the elements by dt (B,), in place; process variances (M,G,B) or (M,G,1)."""
-    move[0] += dt * move[1]
-    shift[0] += dt * shift[1]
-    noise[0] += dt * noise[1]
-    noise[:, 0] += dt * noise[:, 1]
-    grown = process * dt
-    noise[0, 0] += grown * dt * dt / 3.0
-    noise[0, 1] += 0.5 * dt * grown
-    noise[1, 0] += 0.5 * dt * grown
-    noise[1, 1] += grown
-    if drift is not None:
-        noise[2, 2] += drift.reshape(len(drift), -1, 1) * dt
+    order = dynamics.order
+    for part in (move[:order], shift[:order], noise[:order], noise[:, :order].swapaxes(0, 1)):
+        carry(part, dt)
+    grow(noise[:order, :order], process, dt)
+    if dynamics.drift is not None:
+        noise[order, order] += dynamics.drift.reshape(len(dynamics.drift), -1, 1) * dt
 
 
-def _condition(move: Array, shift: Array, noise: Array, word: Array, nats: Array, y: Array, var: Array) -> None:
-    """Add one reading (M,1,B) to each element, in place; word: J_xx, J_xv, J_vv, η_x, η_v (5,M,G,B)."""
-    present = np.isfinite(y)
-    slope, mean, reach = (part[0] + part[2] if len(part) > 2 else part[0].copy() for part in (move, shift, noise))
-    s = (reach[0] + reach[2] if len(reach) > 2 else reach[0]) + var
+def _condition(
+    move: Array, shift: Array, noise: Array, information: Array, nats: Array, y: Array, var: Array
+) -> None:
+    """Add one reading (M,1,B) to each element, in place; information: J and η of the first states (O,O+1,M,G,B).
+
+    An offset has the row of the angle in J and η.
+    """
+    present, order = np.isfinite(y), len(information)
+    offset = len(move) > order
+    slope, mean, reach = (part[0] + part[order] if offset else part[0].copy() for part in (move, shift, noise))
+    s = (reach[0] + reach[order] if offset else reach[0]) + var
     weight, nu = present / s, np.where(present, y - mean, 0.0)
-    x, v = slope[0] * weight, slope[1] * weight
-    word += np.stack([x * slope[0], x * slope[1], v * slope[1], x * nu, v * nu])
+    for state, row in enumerate(information):
+        own = slope[state] * weight
+        for other in range(state, order):
+            row[other] += own * slope[other]
+        row[order] += own * nu
     nats += 0.5 * (nu * nu * weight + np.log(np.where(present, 2.0 * np.pi * s, 1.0)))
     gain = reach * weight
     move -= gain[:, None] * slope
@@ -130,14 +135,19 @@ def _condition(move: Array, shift: Array, noise: Array, word: Array, nats: Array
     noise -= gain[:, None] * reach
 
 
-def _as_readings(word: Array) -> tuple[Array, Array, Array, Array]:
-    """y, var (2,M,G,B) and lean (M,G,B) of two readings equivalent to J, η: J = Uᵀ D U; nats not in them."""
-    xx, xv, vv, x, v = word
-    lean = np.divide(xv, xx, out=np.zeros_like(xx), where=xx > 0)
-    rest = vv - lean * xv
-    d, e = np.stack([xx, np.where(rest > SINGULAR * vv, rest, 0.0)]), np.stack([x, v - lean * x])
-    known = d > 0
-    var = np.divide(1.0, d, out=np.full_like(d, np.inf), where=known)
-    y = np.multiply(e, var, out=np.zeros_like(d), where=known)
-    left = np.where(known, e * y + np.log(2.0 * np.pi / np.where(known, d, 1.0)), 0.0)
-    return y, var, lean, -0.5 * left.sum(axis=0)
+def _as_readings(information: Array) -> tuple[Array, Array, Array, Array]:
+    """y, var (O,M,G,B) and lean (P,M,G,B) of readings equivalent to J, η: J = Uᵀ D U; nats not in them."""
+    order, rest = len(information), information.copy()
+    y, var = np.zeros((2, order, *rest.shape[2:]))
+    lean, left = np.zeros((len(PAIRS[order]), *rest.shape[2:])), np.zeros(rest.shape[2:])
+    for state, row in enumerate(rest):
+        known = row[state] > SINGULAR * information[state, state]
+        var[state] = np.divide(1.0, row[state], out=np.full_like(left, np.inf), where=known)
+        share = np.where(known, var[state], 0.0)
+        y[state] = row[order] * share
+        left += np.where(known, row[order] * y[state] + np.log(2.0 * np.pi * np.where(known, var[state], 1.0)), 0.0)
+        for other in range(state + 1, order):
+            own = lean[PAIRS[order].index((state, other))]
+            np.multiply(row[other], share, out=own)
+            rest[other, other:] -= own * row[other:]
+    return y, var, lean, -0.5 * left

@@ -46,7 +46,7 @@ class Problem:
     def dynamics(self) -> Dynamics:
         """The dynamics of the state."""
         is_prior = None if self.posture_prior is None else self.posture_prior.joints
-        return Dynamics(self.precision.process, self.precision.drift, is_prior)
+        return Dynamics(self.precision.process, self.precision.drift, is_prior, self.precision.order)
 
     @property
     def more(self) -> Array | None:

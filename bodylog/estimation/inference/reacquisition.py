@@ -13,9 +13,10 @@ import numpy as np
 from ...types import Array, Finding
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from ..noise.posture_prior import PosturePrior
+from .motion import carry
 
-START_STD = 1.0
-"""rad and rad/s: prior standard deviation of angles and rates before the first reading."""
+START_STD = (1.0, 1.0, 3.0)
+"""rad, rad/s, rad/s²: prior standard deviations of joints before the first reading."""
 SURE = 0.5
 """Share of that below which a belief counts as known, so that a reading can confirm it."""
 SILENCE = 0.5
@@ -76,33 +77,33 @@ class AcquisitionState:
         return AcquisitionState(np.where(borne, t, self.borne), {**self.seen, **seen} if seen else self.seen, loose)
 
     def judge(
-        self, t: float, z: Array, p: Array, readings: Array, var: Array, seen: bool
+        self, t: float, z: Array, p: Array, readings: Array, var: Array, seen: bool, order: int = 2
     ) -> tuple[Array | None, Array]:  # fmt: skip
         """Joints (M,) bool that the belief z (K,), p (K,K) has lost by t (s), or None; encoders that confirm it.
 
-        readings (M,), NaN where silent, with variances var; `seen`: there is an image. A joint is lost if the belief
-        is vague when its encoder reads. If some are mute, the belief is also lost if a wide prior for these joints
-        makes all readings likelier, and the images agree with that.
+        readings (M,), NaN where silent, with variances var; `seen`: there is an image; order: the motion's. A joint is
+        lost if the belief is vague when its encoder reads. If some are mute, the belief is also lost if a wide prior
+        for these joints makes all readings likelier, and the images agree with that.
         """
         present, mute, m = np.isfinite(readings), self.mute(t), len(readings)
         vague = (np.diagonal(p)[:m] > VAGUE**2) & (present | seen)
         if vague.any():
             return vague, present & ~mute
         # a wide belief follows a reading, so the reading does not confirm it
-        tested = present & mute & (np.diagonal(p)[:m] < (SURE * START_STD) ** 2)
+        tested = present & mute & (np.diagonal(p)[:m] < (SURE * START_STD[0]) ** 2)
         if not tested.any():
             return None, present & ~mute
-        rows = np.eye(m, len(z)) + np.eye(m, len(z), 2 * m)
+        rows = np.eye(m, len(z)) + np.eye(m, len(z), order * m)
         h, nu, noise = rows[present], (readings - rows @ z)[present], np.diag(var[present])
         x, cov = z.copy(), p.copy()
-        forget(x, cov, mute, readings, 0.0)
+        forget(x, cov, mute, readings, 0.0, order)
         total = h @ cov @ h.T + noise
         # encoders that were not mute still contradict the reset belief
         if _nats((readings - rows @ x)[present], total) >= _nats(nu, h @ p @ h.T + noise):
             return None, present & ~mute | tested
         gain = np.linalg.solve(total, h @ cov).T
         x, cov = x + gain @ (readings[present] - h @ x), cov - gain @ h @ cov
-        lost = all(_agree(x, cov, m, t - sight.t, sight) for sight in self.seen.values())
+        lost = all(_agree(x, cov, m, t - sight.t, sight, order) for sight in self.seen.values())
         return mute if lost else None, present & ~mute
 
 
@@ -116,20 +117,23 @@ def named(names: tuple[str, ...], t: Array, reset: Array) -> Iterator[Finding]:
         yield Finding("warning", f"{text} are wrong")
 
 
-def forget(z: Array, p: Array, joints: Array, readings: Array, dt: Array | float) -> None:
+def forget(z: Array, p: Array, joints: Array, readings: Array, dt: Array | float, order: int = 2) -> None:
     """Reset `joints` (M,…) of z (K,…) and p (K,K,…), in place, to the prior and the one reading.
 
-    Their angles start at `readings`; where that is NaN, at the angle a step dt (…) s before.
+    Their angles start at `readings`; where that is NaN, at the angle a step dt (…) s before. order: the motion's.
     """
     m = len(joints)
     gone = np.zeros(z.shape, bool)
-    gone[:m] = gone[m : 2 * m] = joints
+    gone[: order * m] = np.concatenate([joints] * order)
     p *= ~(gone[:, None] | gone[None])
-    np.einsum("kk...->k...", p)[:] += START_STD**2 * gone
-    offset = z[2 * m :] if len(z) > 2 * m else 0.0
-    z[:m] -= joints * (dt * z[m : 2 * m])
-    z[:m] = np.where(joints & np.isfinite(readings), readings - offset, z[:m])
-    z[m : 2 * m] *= ~joints
+    for state, std in enumerate(START_STD[:order]):
+        own = slice(state * m, state * m + m)
+        np.einsum("kk...->k...", p)[own] += std**2 * joints
+    offset = z[order * m :] if len(z) > order * m else 0.0
+    before = z[: order * m].reshape(order, *z[:m].shape).copy()
+    carry(before, -dt)
+    z[:m] = np.where(joints, np.where(np.isfinite(readings), readings - offset, before[0]), z[:m])
+    z[m : order * m] *= ~gone[m : order * m]
 
 
 def _nats(nu: Array, s: Array) -> float:
@@ -137,10 +141,11 @@ def _nats(nu: Array, s: Array) -> float:
     return float(nu @ np.linalg.solve(s, nu) + np.linalg.slogdet(s)[1])
 
 
-def _agree(z: Array, p: Array, m: int, age: float, sight: PendingFrame) -> bool:
+def _agree(z: Array, p: Array, m: int, age: float, sight: PendingFrame, order: int) -> bool:
     """Whether a belief agrees with frames seen `age` s before."""
-    back = np.concatenate([np.eye(m), -age * np.eye(m)], axis=1)
-    x, cov = back @ z[: 2 * m], back @ p[: 2 * m, : 2 * m] @ back.T
+    states = order * m
+    back = np.concatenate([np.eye(m), -age * np.eye(m), 0.5 * age**2 * np.eye(m)], axis=1)[:, :states]
+    x, cov = back @ z[:states], back @ p[:states, :states] @ back.T
     mean, jac, model = (part[0] for part in sight.model.predict(x[None]))
     nu, s = sight.value - mean, jac @ cov @ jac.T + np.diag(model + sight.var)
     return float(nu @ np.linalg.solve(s, nu)) <= APART**2

@@ -1,6 +1,6 @@
 """The Gaussian filter kernel: many stretches of one log in parallel, one instant of each per numpy call.
 
-State z (K,C) = joint angles, rates and, where drift is given, encoder offsets; the last axis C is the stretch.
+State z (K,C) = joint angles, rates[, accelerations][, encoder offsets]; the last axis C is the stretch.
 """
 
 from collections.abc import Callable
@@ -12,6 +12,7 @@ import numpy as np
 from ...types import Array
 from .conditioning import MANY, AdjointRecord, Rows, condition_pooled, update
 from .filter_records import Dynamics, KnotReadings, Pooled, Readings
+from .motion import SPREADS, carry
 from .reacquisition import forget
 
 R = TypeVar("R", "Readings", "Trace", "Pooled")
@@ -50,6 +51,7 @@ def scan(
     belief[:, :-1], belief[:, -1] = p, z
     p, z = belief[:, :-1], belief[:, -1]
     length, m, c = readings.encoders.shape
+    order, offset = dynamics.order, dynamics.offset
     trace, kept, errors = into or _empty(readings, len(z), remember, every), slice(None, None, every), np.empty((m, c))
     propagate = propagator(belief, dynamics)
     measured = Rows.of(readings.encoders, readings.encoder_var), Rows.of(readings.y, readings.var)
@@ -57,23 +59,24 @@ def scan(
     seen = [np.flatnonzero(row) for row in visible]
     back = AdjointRecord(*(trace.back or (None, *np.zeros((2, length, _rows(readings), c)))))
     reset = {} if readings.reset is None else {i: joints for i, joints in enumerate(readings.reset) if joints.any()}
-    leaps = AdjointRecord(None, *np.empty((2, length, 2 * m if isinstance(readings, KnotReadings) else 0, c)))
+    leaps = AdjointRecord(None, *np.empty((2, length, order * m if isinstance(readings, KnotReadings) else 0, c)))
     for i in range(length):
         if isinstance(readings, KnotReadings):
-            condition_pooled(readings.pooled, i, belief, leaps.at(i), None if trace.left is None else trace.left[i])
+            left = None if trace.left is None else trace.left[i]
+            condition_pooled(readings.pooled, i, belief, leaps.at(i), left, offset)
         else:
             propagate(readings.dt[i], None if readings.more is None else readings.more[i])
         if i in reset:
-            forget(z, p, reset[i], readings.encoders[i], readings.dt[i])
+            forget(z, p, reset[i], readings.encoders[i], readings.dt[i], order)
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m, kept], p[:m, :m, kept]
-        update(readings, measured, i, seen[i], dynamics.is_prior, belief, errors, back.at(i))
+        update(readings, measured, i, seen[i], dynamics, belief, errors, back.at(i))
         trace.z[i], trace.p[i], trace.encoder_d[i] = z[:, kept], p[..., kept], errors[:, kept]
     own = np.ones(m, bool) if dynamics.is_prior is None else ~dynamics.is_prior
     trace.nats[:] = _nats(back, own)
     if isinstance(readings, KnotReadings):
-        trace.nats[:] += _nats(leaps, np.tile(own, 2)) + readings.pooled.nats
+        trace.nats[:] += _nats(leaps, np.tile(own, order)) + readings.pooled.nats
     return trace
 
 
@@ -135,27 +138,28 @@ def _empty(readings: Readings, k: int, remember: bool, every: int) -> Trace:
 
 
 def propagator(belief: Array, dynamics: Dynamics) -> Callable[[Array, Array | None], None]:
-    """A function of dt (C,) that moves the belief in place: constant velocity, exact discretisation.
+    """A function of dt (C,) that moves the belief in place: exact discretisation.
 
     Its second argument (M,C) is a factor on the process variance.
     """
-    m = len(dynamics.process)
+    m, order, offset = len(dynamics.process), dynamics.order, dynamics.offset
     q = dynamics.process.reshape(m, -1)
     walk = None if dynamics.drift is None else dynamics.drift.reshape(m, -1)
-    p = belief[:, :-1]
-    diagonal = np.einsum("iic->ic", p)
-    cross, mirror = np.einsum("iic->ic", p[:m, m : 2 * m]), np.einsum("iic->ic", p[m : 2 * m, :m])
+    k, c = len(belief), belief.shape[-1]
+    rows = belief[: order * m].reshape(order, m, k + 1, c)
+    columns = [belief[:, state * m : state * m + m] for state in range(order)]
+    blocks = {(r, s): np.einsum("iic->ic", rows[r, :, s * m : s * m + m]) for r in range(order) for s in range(order)}
+    offsets = None if offset is None else np.einsum("iic->ic", belief[offset:, offset:-1])
 
     def propagate(dt: Array, more: Array | None) -> None:
-        belief[:m] += dt * belief[m : 2 * m]
-        belief[:, :m] += dt * belief[:, m : 2 * m]
-        qdt = q * dt if more is None else q * more * dt
-        half = 0.5 * dt * qdt
-        diagonal[:m] += (2.0 / 3.0) * dt * half
-        diagonal[m : 2 * m] += qdt
-        np.add(cross, half, out=cross)
-        np.add(mirror, half, out=mirror)
-        if walk is not None:
-            diagonal[2 * m :] += walk * dt
+        carry(rows, dt)
+        carry(columns, dt)
+        powers = [q * dt if more is None else q * more * dt]
+        for _ in range(2 * order - 2):
+            powers.append(powers[-1] * dt)
+        for row, column, power, scale in SPREADS[order]:
+            blocks[row, column][:] += powers[power - 1] / scale
+        if offsets is not None:
+            offsets[:] += walk * dt
 
     return propagate

@@ -87,7 +87,7 @@ class Tangents:
         # a filtered belief errs by far more than models do
         often, stated = (self._repeated[index], precision.stated) if share == WHOLE else (1.0, 1.0)
         near = precision.near.get(sighting.name, 0.0)
-        like = ErrorCorrelation(precision.process, reach(sighting.model), near, share, stated)
+        like = ErrorCorrelation(precision.process, reach(sighting.model), near, share, stated, precision.order)
         var[seen] = variances(
             like, sighting.t[seen], sighting.values[seen], self.points[index][seen], self._jac[index][seen], var[seen],
             self._model_var[index][seen], often,

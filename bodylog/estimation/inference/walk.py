@@ -141,9 +141,9 @@ def _stepped(problem: Problem, share: float, resting: float, fold: Fold) -> Walk
             begin_z[:, k // fold.length], begin_p[..., k // fold.length] = z, p
         more[k, watch.loose] = LASTING
         z, p = motion.move(z, p, dt, more[k])
-        joints, borne = watch.judge(line[k], z, p, own[k], var[k], k in sights)
+        joints, borne = watch.judge(line[k], z, p, own[k], var[k], k in sights, motion.order)
         if joints is not None:
-            forget(z, p, joints, own[k], dt)
+            forget(z, p, joints, own[k], dt, motion.order)
             lost[line[k]] = joints
         here = {track: watch.with_last_frame(track, sight) for track, sight in sights.get(k, ())}
         if here and watch.adrift(line[k]).any():
@@ -175,7 +175,7 @@ def _sights(problem: Problem, share: float, before: int) -> dict[int, list[tuple
     precision, line = problem.precision, problem.timeline
     for track, (sighting, events) in enumerate(zip(problem.evidence.sightings, line.sightings, strict=True)):
         scale, near = precision.scale.get(sighting.name, 1.0), precision.near.get(sighting.name, 0.0)
-        like = ErrorCorrelation(precision.process, reach(sighting.model), near, share)
+        like = ErrorCorrelation(precision.process, reach(sighting.model), near, share, order=precision.order)
         for row in np.flatnonzero(np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)):
             value, var, k = sighting.values[row], scale * sighting.var[row], int(events[row])
             sight = PendingFrame(sighting.model, float(sighting.t[row]), value, var, like, LastFrame())

@@ -115,7 +115,8 @@ class Estimator:
 
     def _belief(self, now: State, nats: float, errors: Mapping[str, Array], lost: Array | None = None) -> Belief:
         m, z = len(self._body.joints), now.belief[:, -1].copy()
-        bias = z[2 * m :] if len(z) > 2 * m else None
+        first = self._precision.order * m
+        bias = z[first:] if len(z) > first else None
         cov = self._stated * now.belief[:m, :m]
         return Belief(now.t, z[:m], z[m : 2 * m], cov, nats, errors, bias, lost)
 
@@ -129,16 +130,19 @@ class Estimator:
             unknown = ", ".join(name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle))
             raise LogError(f"joints: no reading of {unknown} yet; pass every joint once, or set `start`")
         drift = np.full(len(names), WALKS[1]) if self._settings.bias == "on" else None
-        posture = prior_of(self._inputs.silent, self._inputs.wanted, precision.process, x)
-        dynamics = Dynamics(precision.process, drift, None if posture is None else posture.joints)
+        process, order, near = precision.process, precision.order, precision.near
+        posture = prior_of(self._inputs.silent, self._inputs.wanted, process, x, order)
+        dynamics = Dynamics(process, drift, None if posture is None else posture.joints, order)
         models = self._inputs.models
-        process, near = precision.process, precision.near
-        like = {n: ErrorCorrelation(process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()}
-        adrift = adrift_prior(self._inputs.wanted, precision.process, x)
-        steady = EncoderSteps(precision.process, drift, precision.encoder)
+        like = {
+            n: ErrorCorrelation(process, reach(model), near.get(n, 0.0), PAST, order=order)
+            for n, model in models.items()
+        }
+        adrift = adrift_prior(self._inputs.wanted, process, x, order)
+        steady = EncoderSteps(dynamics, precision.encoder)
         one = _Filter(Motion(dynamics), steady, posture, adrift, precision.encoder, precision.scale, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
-        std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
+        std = np.repeat([*START_STD[:order], *([] if drift is None else [OFFSET_STD])], len(x))
         watch = AcquisitionState.initial(len(x))
         first = State(-np.inf, np.column_stack([np.diag(std**2), z]), watch, watch.borne.tolist())
         return ReplayBuffer(first, self._lag, one.hear)
@@ -189,9 +193,10 @@ class _Filter:
         watch = replace(before.watch, borne=np.array(before.borne))
         loose, z, p = watch.loose, before.belief[:, -1], before.belief[:, :-1]
         z, p = self.motion.move(z, p, dt, np.where(loose, LASTING, 1.0) if loose.any() else None)
-        lost, borne = watch.judge(at.t, z, p, angles, self.encoder_var, bool(at.places))
+        order = self.motion.order
+        lost, borne = watch.judge(at.t, z, p, angles, self.encoder_var, bool(at.places), order)
         if lost is not None:
-            forget(z, p, lost, angles, dt)
+            forget(z, p, lost, angles, dt, order)
         here = {
             name: watch.with_last_frame(name, self._sight(name, at.t, *place))
             for name, place in at.places.items()

@@ -1,7 +1,6 @@
 """The filter methods: set up the problem, solve it, look for encoder offsets, and return the beliefs."""
 
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -10,7 +9,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...settings import Estimation
-from ...types import Capabilities, Estimate, Fault, Features, Finding
+from ...types import Array, Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
 from ..faults.screening import screened
 from ..inference.convergence import DidNotConverge
@@ -23,9 +22,10 @@ from ..measurements.gather import start
 from ..measurements.timeline import timeline
 from ..noise import encoder_noise, typed
 from ..noise.evidence_search import ROUGHLY, tune
+from ..noise.motion_order import with_preferred_order
 from ..noise.noise_model import resolve, warned, weighed
 from ..noise.posture_prior import learn_prior
-from . import results, whole_log
+from . import results
 from .contract import Method
 from .results import Beliefs
 
@@ -48,9 +48,6 @@ EKF = Method(ekf, Capabilities())
 
 def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
     problem, faults = gathered(features, body, settings)
-    if at == "posterior" and whole_log.possible(problem, settings):
-        with suppress(DidNotConverge, np.linalg.LinAlgError):
-            return whole_log.estimate(method, body, problem, settings, faults)
     problem, warm = tuned(problem, settings)
     stepwise = at == "posterior" and problem.stepwise
     solver = (lambda posed, _: walk(posed)) if stepwise else partial(solve, at=at)
@@ -58,7 +55,8 @@ def _filtered(features: Features, body: BodyModel, settings: Estimation, method:
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
     precision = problem.precision
     beliefs = Beliefs(
-        unfold(trace.z), precision.of(unfold(trace.p[:, :m, :m])), unfold(trace.nats), unfold(trace.prior),
+        shown(unfold(trace.z), problem), precision.of(unfold(trace.p[:, :m, :m])), unfold(trace.nats),
+        unfold(trace.prior),
         unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
         drifts(problem, body.joints, solution, faults), tuple(lost(problem, body.joints, solution)),
     )  # fmt: skip
@@ -86,7 +84,12 @@ def gathered(features: Features, body: BodyModel, settings: Estimation) -> tuple
     problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, posture_prior=usual)
     allowed = encoder_offset.preset_walks(settings.bias, body.joints, faults)
     problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
-    return find_initial_path(problem), faults
+    problem = find_initial_path(problem)
+    if settings.process is not None:  # it is a white acceleration
+        return problem, faults
+    problem = with_preferred_order(problem)
+    precision = typed.precision(problem.precision, settings, body.joints)
+    return replace(problem, precision=precision), faults
 
 
 def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
@@ -153,7 +156,7 @@ def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution |
     encoders, precision = problem.evidence.encoders, problem.precision
     if settings.precision != "auto" or encoders is None:
         return problem, None
-    evident = encoder_noise.learn(encoders, precision.encoder, precision.process).process
+    evident = encoder_noise.learn(encoders, precision.encoder, precision.process, precision.order).process
     held = typed.precision(precision.held(evident, encoders), settings, problem.evidence.joints)
     return tuned(replace(problem, precision=held), settings)
 
@@ -166,6 +169,12 @@ def cost(problem: Problem, warm: Solution | None = None) -> float:
         return np.inf
 
 
+def shown(z: Array, problem: Problem) -> Array:
+    """Angles, rates and, if there are any, offsets (E,·) of states z (E,K)."""
+    m, size = len(problem.start), problem.dynamics.order * len(problem.start)
+    return np.concatenate([z[:, : 2 * m], z[:, size:]], axis=1)
+
+
 def lost(problem: Problem, names: tuple[str, ...], solved: Solution) -> Iterator[Finding]:
     """A warning where the belief was reset."""
     resets = solved.readings.reset
@@ -176,7 +185,7 @@ def drifts(problem: Problem, names: tuple[str, ...], solved: Solution, known: tu
     """Encoder offsets as faults, from the filtered offsets, without encoders known to be faulty."""
     if problem.precision.drift is None:
         return ()
-    m, unfold = len(names), solved.fold.unfold
-    var = unfold(np.einsum("likc,ik->lic", solved.trace.p[:, 2 * m :, 2 * m :], np.eye(m)))
-    offsets = unfold(solved.trace.z[:, 2 * m :])
+    m, unfold, first = len(names), solved.fold.unfold, problem.dynamics.offset
+    var = unfold(np.einsum("likc,ik->lic", solved.trace.p[:, first:, first:], np.eye(m)))
+    offsets = unfold(solved.trace.z[:, first:])
     return encoder_offset.faults(problem, names, offsets, var, known)

@@ -4,7 +4,6 @@ Linearising all frames at the smoothed angles until convergence gives the maximu
 has the Bryson–Frazier form, which needs the filter's gains but no inverse.
 """
 
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,9 +24,9 @@ from ..inference.solution import Solution
 from ..inference.tangents import Tangents
 from ..inference.walk import walk
 from ..noise.correlated_noise import WHOLE
-from . import results, whole_log
+from . import results
 from .contract import Method
-from .filtering import drifts, gathered, lost, settled, tuned
+from .filtering import drifts, gathered, lost, settled, shown, tuned
 from .results import Beliefs
 
 FORTH = 1
@@ -60,17 +59,14 @@ class Smooth(Path):
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Smoothed belief at each output time, given the whole log."""
     problem, faults = gathered(features, body, settings)
-    if whole_log.possible(problem, settings):
-        with suppress(DidNotConverge, np.linalg.LinAlgError):
-            return whole_log.estimate("smoother", body, problem, settings, faults)
     problem, warm = tuned(problem, settings)
     solver = (lambda posed, _: once(posed)) if problem.stepwise else solve
     problem, smooth = settled(problem, warm, settings, solver, once)
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
     z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov))
     beliefs = Beliefs(
-        z, cov, unfold(smooth.trace.nats), z[:, :m], cov, unfold(smooth.trace.encoder_d), precision.scale,
-        precision.plain(), drifts(problem, body.joints, smooth, faults),
+        shown(z, problem), cov, unfold(smooth.trace.nats), z[:, :m], cov, unfold(smooth.trace.encoder_d),
+        precision.scale, precision.plain(), drifts(problem, body.joints, smooth, faults),
         tuple(lost(problem, body.joints, smooth)),
     )  # fmt: skip
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
@@ -93,8 +89,8 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     # a looser tolerance, so that residues of the knots' solution do not trigger full rounds
     path = _rounds(problem, fold, full(problem, fold), tangents, z, p, ends, 2.0 * LASTING)
     return Smooth(
-        fold, path.readings, tangents, path.trace, path.z, path.after, adjoint.covariances(path.readings, path.trace),
-        knots=(knots, first),
+        fold, path.readings, tangents, path.trace, path.z, path.after,
+        adjoint.covariances(path.readings, path.trace, problem.precision.order), knots=(knots, first),
     )  # fmt: skip
 
 
@@ -116,18 +112,18 @@ def _rounds(
         progress.note(rest)
         z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
         if sweep >= forth:
-            back, ends, pulled = _back(readings, trace, ends, p, rest)
+            back, ends, pulled = _back(readings, trace, ends, p, rest, problem.precision.order)
             rest = max(rest, pulled)
         tangents.follow(problem, fold, trace.z if back is None else back[0])
     raise DidNotConverge(f"smoother: no rest after {SWEEPS} sweeps, last move {rest:.2g}")
 
 
 def _back(
-    readings: Readings, trace: Trace, ends: Array, p: Array, rest: float
+    readings: Readings, trace: Trace, ends: Array, p: Array, rest: float, order: int
 ) -> tuple[tuple[Array, Array], Array, float]:
     """Smoothed state and adjoints (L,K,C), ends (K,C), iterated while ends move more than starts; their last move."""
     for _ in range(TURNS):
-        after, at_start = adjoint.adjoints(readings, trace, ends)
+        after, at_start = adjoint.adjoints(readings, trace, ends, order)
         pulled, ends = _pulled(adjoint.before(at_start) - ends, p), adjoint.before(at_start)
         if pulled <= max(rest, LASTING):
             break
@@ -136,10 +132,10 @@ def _back(
 
 def once(problem: Problem) -> Smooth:
     """Smooth once along the filter's own tangents, as a fallback without convergence."""
-    solution, k = walk(problem, remember=True), problem.dynamics.size
-    after, _ = adjoint.adjoints(solution.readings, solution.trace, np.zeros((k, 1)))
+    solution, k, order = walk(problem, remember=True), problem.dynamics.size, problem.precision.order
+    after, _ = adjoint.adjoints(solution.readings, solution.trace, np.zeros((k, 1)), order)
     smooth = adjoint.means(solution.trace, after)
-    cov = adjoint.covariances(solution.readings, solution.trace)
+    cov = adjoint.covariances(solution.readings, solution.trace, order)
     return Smooth(solution.fold, solution.readings, solution.tangents, solution.trace, smooth, after, cov)
 
 

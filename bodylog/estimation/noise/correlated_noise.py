@@ -4,7 +4,8 @@ The model's error depends on the posture, and perception's on the place within a
 place share an error E (px²), and a belief must not be surer than that. Let joints move with white acceleration of
 density q (px²/s³) in the image. With noise of density R (px² s) a filter has the variance √2 R^¾ q^¼, a smoother
 R^¾ q^¼ / 2√2. This equals E if correlated frames within (E/4q)^⅓ s, or 4(E/q)^⅓ s, count as one; for a share s of the
-variance to equal E, the span is s^(−4/3) times as long.
+variance to equal E, the span is s^(−4/3) times as long. Under white jerk (px²/s⁵) these variances are 2 R^⅚ q^⅙ and
+R^⅚ q^⅙ / 3, so the spans are (E/64q)^⅕ and (729 E/q)^⅕, and s^(−6/5) times as long.
 """
 
 import math
@@ -20,7 +21,9 @@ from ...types import Array
 NEAR = 0.5
 """px: correlation length of perception's error, which has the period of the pixels."""
 PAST, WHOLE = 4.0, 1.0 / 64.0
-"""Share of q in the span within which frames count as one, for a filter and for a smoother."""
+"""Share of q in the span within which frames count as one, for filter and smoother, under white acceleration."""
+SHARES = {2: {PAST: PAST, WHOLE: WHOLE}, 3: {PAST: 64.0, WHOLE: 1.0 / 729.0}}
+"""The same for each order of the motion."""
 LASTING = {PAST: -5.0 / 8.0, WHOLE: 1.0 / 2.0}
 """Weight of a lasting error beyond that of an independent one, on average over the time between frames.
 
@@ -33,8 +36,8 @@ theirs; interpolated, (1 − x) e₀ + x e₁, 2/3.
 class ErrorCorrelation:
     """When a track's errors correlate: postures within reach (M,) rad, places within `near` px, 0 for never.
 
-    process (M,) rad²/s³: the joints' white acceleration · share: PAST or WHOLE · stated () or (M,): stated share of the
-    variance, which must not fall below the common error.
+    process (M,) rad²/s³: the joints' white acceleration, or jerk, rad²/s⁵, for order 3 · share: PAST or WHOLE · stated
+    () or (M,): stated share of the variance, which must not fall below the common error.
     """
 
     process: Array
@@ -42,11 +45,17 @@ class ErrorCorrelation:
     near: float
     share: float
     stated: Array | float = 1.0
+    order: int = 2
 
     @cached_property
     def wander(self) -> Array:
-        """White acceleration (M,) rad²/s³ times share and stated⁴."""
-        return np.asarray(self.stated**4 * self.share * self.process)
+        """Process variance (M,) times its share and a power of `stated`."""
+        return np.asarray(self.stated ** (2 * self.order) * SHARES[self.order][self.share] * self.process)
+
+    @property
+    def power(self) -> float:
+        """Power of error over process variance that a span is."""
+        return 1.0 / (2 * self.order - 1)
 
     def postures(self, step: Array) -> Array:
         """Correlation (…,) of the model's errors for a step (…,M) rad of the joints."""
@@ -63,7 +72,7 @@ class ErrorCorrelation:
         """
         error = np.einsum("fd->f", lasting)
         drift = np.einsum("fdm,m->f", np.square(jac), self.wander)
-        span = np.cbrt(error / np.maximum(drift, 1e-9))
+        span = (error / np.maximum(drift, 1e-9)) ** self.power
         return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
 
     def times(self, count: Array, like: Array) -> Array:
@@ -181,7 +190,7 @@ class PendingFrame:
         posture = math.exp(-0.5 * math.hypot(*away) ** 2)
         error = spot * float(self.var.sum()) + posture * float(model.sum())
         drift = float((np.square(jac) @ like.wander).sum())
-        span = max((error / max(drift, 1e-9)) ** (1.0 / 3.0), 1e-9)
+        span = max((error / max(drift, 1e-9)) ** like.power, 1e-9)
         fade = math.exp(-2.0 * (self.t - last.t) / span)
         by_spot, by_posture = last.count.tolist()
         counts = 1.0 + fade * spot * by_spot, 1.0 + fade * posture * by_posture

@@ -6,11 +6,11 @@ equal times share their covariances.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import factorial
 
 import numpy as np
 
 from ...types import Array
+from ..inference.motion import carry, grow
 
 VAGUE = 1e8
 """Noise variances: initial variance of a filter."""
@@ -38,7 +38,7 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -
     """Log evidence (R,M) per ratio process/noise (R,M), with the noise variance that maximises it given the ratio.
 
     Time steps dt (L,M,C) s · readings y (L,M,C) rad, NaN where there is none · restarts `fresh` (L,M,C) bool. For
-    order 3 also the largest median (R,M) of three consecutive innovations, in standard deviations.
+    order 3 also the largest innovation (R,M) that the next one reaches too, in standard deviations.
     """
     known, count = np.isfinite(y), np.arange(len(y))[:, None, None]
     fresh = np.asarray(fresh | (count == 0))
@@ -54,24 +54,16 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -
     return np.where(np.isfinite(score), score, -np.inf), noise, np.sqrt(lag / noise)
 
 
-def carry(a: Array, h: Array) -> None:
-    """Move states a (S,…) by a time h, in place."""
-    for state in range(len(a) - 1):
-        a[state] += h * a[state + 1]
-        if state + 2 < len(a):
-            a[state] += (0.5 * h * h) * a[state + 2]
-
-
 def _sums(
     steps: _Steps, y: Array, gains: Iterator[tuple[Array, Array, Array]], which: Array | slice, ratios: int, order: int
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Sums (M,R) of squared innovations over their variances and of log variances; the largest median of three.
+    """Sums (M,R) of squared innovations over their variances and of log variances; the largest that the next reaches.
 
     `gains` as in `_gains`, by group of joints; `which` (M,): the group of each joint.
     """
     x, y = np.zeros((order, *y.shape[1:], ratios)), np.where(np.isfinite(y), y, 0.0)[..., None]
     squares, nu, cost, lag, more = np.zeros((5, *x.shape[1:]))
-    logs, recent = np.zeros(()), np.zeros((3, *squares.shape))
+    logs, recent = np.zeros(()), np.zeros((2, *squares.shape))
     begins: Array = np.any(steps.fresh, axis=(1, 2))
     for i, (gain, weight, log) in enumerate(gains):
         carry(x, steps.dt[i, ..., None])
@@ -84,17 +76,12 @@ def _sums(
         squares += cost
         logs = np.asarray(logs + log)
         if order > 2:
-            recent[i % 3] = cost
-            np.maximum(lag, _middle(*recent), out=lag)
+            recent[i % 2] = cost
+            np.maximum(lag, np.minimum(*recent), out=lag)
         for state, share in zip(x, gain, strict=True):
             np.multiply(share[which], nu, out=more)
             state += more
     return squares.sum(axis=1), logs.sum(axis=1)[which], lag.max(axis=1)
-
-
-def _middle(one: Array, two: Array, three: Array) -> Array:
-    """The median of three."""
-    return np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), three))
 
 
 def _gains(steps: _Steps, ratios: Array, order: int) -> Iterator[tuple[Array, Array, Array]]:
@@ -126,11 +113,8 @@ def _gains(steps: _Steps, ratios: Array, order: int) -> Iterator[tuple[Array, Ar
 
 def _spread(dt: Array, order: int) -> Array:
     """Covariance (L,S,S,U,C) that unit white noise in the last rate brings within dt (L,U,C) s."""
-    found = np.empty((len(dt), order, order, *dt.shape[1:]))
-    for i in range(order):
-        for j in range(order):
-            power = 2 * order - 1 - i - j
-            found[:, i, j] = dt**power / (power * factorial(order - 1 - i) * factorial(order - 1 - j))
+    found = np.zeros((len(dt), order, order, *dt.shape[1:]))
+    grow(np.moveaxis(found, 0, 2), 1.0, dt)
     return found
 
 

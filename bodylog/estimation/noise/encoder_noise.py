@@ -17,7 +17,7 @@ TRIED = 45
 RANGE = {2: (1e-9, 1e6), 3: (1e-11, 1e6)}
 """Ratios of process to noise, per reading, by the motion's order."""
 LAGGING = 4.0
-"""Standard deviations: three consecutive readings that are farther off mean that the filter lags."""
+"""Standard deviations: two consecutive readings that are farther off mean that the filter lags."""
 RAISED = 2.0
 """Factor on a density per step, until the filter keeps up."""
 SPACING = 0.01
@@ -83,13 +83,15 @@ def _followed(series: tuple[Array, Array], noise: float, process: float) -> floa
     return followed(t, y, _alone(np.abs(np.diff(y, 2))), noise, process)
 
 
-def followable(encoders: Encoders, encoder: Array, process: Array) -> Array:
-    """Densities (M,) rad²/s³, at least `process`, with which a filter follows all readings of the encoders."""
-    process = process.copy()
-    for joint, column in enumerate(encoders.values.T):
-        known = np.isfinite(column)
-        process[joint] = _followed((encoders.t[known], column[known]), encoder[joint], process[joint])
-    return process
+def followable(encoders: Encoders, encoder: Array, process: Array, order: int) -> Array:
+    """Densities (M,), at least `process`, with which a filter of an order follows all readings of the encoders."""
+    known = [np.isfinite(column) for column in encoders.values.T]
+    series = [(encoders.t[own], column[own]) for own, column in zip(known, encoders.values.T, strict=True)]
+    if order == 2:
+        return np.array([_followed(*one) for one in zip(series, encoder, process, strict=True)])
+    fellows = np.array([_fellows(t) for t, _ in series])
+    folded = _side_by_side([_averaged(t, y, k) for (t, y), k in zip(series, fellows, strict=True)])
+    return np.asarray(encoder * _followed_by(folded, process / encoder, encoder / fellows, order))
 
 
 def floor(t: Array, encoder: Array, order: int) -> Array:

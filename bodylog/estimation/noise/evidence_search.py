@@ -16,6 +16,7 @@ from ..measurements.timeline import timeline
 from .encoder_noise import floor, followable
 from .noise_model import NoiseModel
 from .smoother_process import least
+from .steady import steady_variance
 from .visibility import View, views, visual
 
 MOST = 1000
@@ -59,12 +60,16 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
 def _less(problem: Problem) -> list[View]:
     """Sets of tracks in view at times when not all are, if encoders still determine the arm."""
     usual = tuple(s.name for s in visual(problem.evidence.sightings))
-    return [] if problem.path else [v for v in views(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
+    if problem.path or problem.precision.order > 2:
+        return []
+    return [v for v in views(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
 
 
 def _moving(problem: Problem, part: Problem, solved: tuple[KnotProblem, Solution], whole: bool) -> NoiseModel:
     """The part's noise model for a smoother (`whole`) or a filter, with the share of its covariance to state."""
     encoders, floor = problem.evidence.encoders, _floor(part)
+    if whole and part.precision.order > 2:
+        return replace(part.precision, process=_led(part, np.maximum(part.precision.process, floor)))
     if whole:
         held = replace(part.precision, process=np.maximum(part.precision.process, floor))
         process, stated = least(replace(part, precision=held), solved)
@@ -77,8 +82,8 @@ def _moving(problem: Problem, part: Problem, solved: tuple[KnotProblem, Solution
 
 def _led(part: Problem, process: Array) -> Array:
     """Process variances (M,) of a smoother whose forward pass stays within the gate."""
-    encoders = part.evidence.encoders
-    return process if encoders is None else followable(encoders, part.precision.encoder, process)
+    encoders, precision = part.evidence.encoders, part.precision
+    return process if encoders is None else followable(encoders, precision.encoder, process, precision.order)
 
 
 def _with_view(part: Problem, view: View) -> tuple[Problem, tuple[KnotProblem, Solution]]:
@@ -101,9 +106,8 @@ def _own(problem: Problem, part: Problem, first: Solution) -> tuple[Array, Array
     if encoders is not None and len(encoders.t) > 1:
         density = precision.encoder * float(np.median(np.diff(encoders.t)))
         together = np.sqrt(first.fold.unfold(np.einsum("liic->lic", first.trace.p[:, :m, :m]))).mean(axis=0)
-        # steady state under white acceleration: √2 R^¾ q^¼ for noise of density R
         unknown, white = (
-            np.minimum(together**2 / (np.sqrt(2.0) * density**0.75 * process**0.25), 1.0)
+            np.minimum(together**2 / steady_variance(density, process, precision.order), 1.0)
             for process in (precision.process, part.precision.process)
         )
         taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
@@ -132,8 +136,8 @@ def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
 
 def _floor(part: Problem) -> Array:
     """Least process variances (M,)."""
-    encoders = part.evidence.encoders
-    return np.zeros(len(part.start)) if encoders is None else floor(encoders.t, part.precision.encoder, 2)
+    encoders, precision = part.evidence.encoders, part.precision
+    return np.zeros(len(part.start)) if encoders is None else floor(encoders.t, precision.encoder, precision.order)
 
 
 def _step(nats: Array, half: float) -> Array:

@@ -19,12 +19,12 @@ from .quantisation import relative
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """encoder (M,) rad² · process (M,) rad²/s³ · drift (M,) rad²/s or None · scale {sighting: variance factor}.
+    """encoder (M,) rad² · process (M,) · drift (M,) rad²/s or None · scale {sighting: factor on its variance}.
 
-    near {sighting: px} correlation length of its errors; other sightings have white errors · stated: share of the
-    covariance that is stated, () or (M,) · fewer {tracks in view: process (M,)} where these are not all · likeliest:
-    process (M,) of a filter, where a smoother's differs · evident: process (M,) before `held` · white: what was learned
-    for white acceleration.
+    order 2: white acceleration, process in rad²/s³; 3: white jerk, rad²/s⁵ · near {sighting: px} correlation length of
+    its errors; other sightings have white errors · stated: share of the covariance that is stated, () or (M,) · fewer
+    {tracks in view: process (M,)} where these are not all · likeliest: process (M,) of a filter, where a smoother's
+    differs · evident: process (M,) before `held` · white: what was learned for white acceleration.
     """
 
     encoder: Array
@@ -37,12 +37,14 @@ class NoiseModel:
     likeliest: Array | None = None
     evident: Array | None = None
     white: Learned | None = None
+    order: int = 2
 
     def plain(self) -> dict[str, Any]:
         """The model as plain numbers, for the estimate's settings."""
         drift = None if self.drift is None else [float(v) for v in self.drift]
         encoder, process = [float(v) for v in self.encoder], [float(v) for v in self.process]
-        plain = {"encoder": encoder, "process": process, "drift": drift, "scale": dict(self.scale)}
+        plain: dict[str, Any] = {"order": self.order, "encoder": encoder, "process": process, "drift": drift}
+        plain["scale"] = dict(self.scale)
         fewer = {" ".join(view) or "none": [float(v) for v in process] for view, process in self.fewer.items()}
         plain["near"], plain["stated"] = dict(self.near), np.broadcast_to(self.stated, self.process.shape).tolist()
         likeliest = {} if self.likeliest is None else {"likeliest": self.likeliest.tolist()}
@@ -51,21 +53,19 @@ class NoiseModel:
     def held(self, evident: Array, encoders: Encoders, white: Array | float = 1.0) -> "NoiseModel":
         """With processes (M,) by evidence, but at least those that bound a filter's memory by MEMORY.
 
-        Under white acceleration a quarter of a steady variance is motion, which is stated only as far as there is any.
-        `white`: share of the variance from encoders, whose errors are independent.
+        Under white noise in derivative p, 1/2p of a steady variance is motion, which is stated only as far as there is
+        any. `white`: share of the variance from encoders, whose errors are independent.
         """
-        process = np.maximum(evident, encoder_noise.floor(encoders.t, self.encoder, 2))
-        stated = 1.0 - MOTION * white * (1.0 - np.minimum(evident / process, 1.0))
+        process = np.maximum(evident, encoder_noise.floor(encoders.t, self.encoder, self.order))
+        stated = 1.0 - white / (2 * self.order) * (1.0 - np.minimum(evident / process, 1.0))
         return replace(self, process=process, stated=stated, evident=evident)
 
     def of(self, cov: Array) -> Array:
-        """Stated covariance (E,M,M) for the covariance `cov` under white acceleration."""
+        """Stated covariance (E,M,M) for the covariance `cov` of the filter or smoother."""
         share = np.sqrt(np.broadcast_to(self.stated, self.process.shape))
         return np.asarray(share[:, None] * share * cov)
 
 
-MOTION = 0.25
-"""Share of motion in a filter's steady variance under white acceleration."""
 PAPER = (1.0, 5.0)
 """The paper's variances of encoders (rad²) and pixels (px²)."""
 
@@ -106,11 +106,14 @@ def carried(body: BodyModel, found: Mapping[str, Any] | None) -> NoiseModel:
     """
     if found is None:
         return NoiseModel(np.array(body.noise.encoder, float), np.array(body.noise.process, float), None, {})
-    found = found.get("live", found)
+    order = found.get("order", 2)
+    if order not in (2, 3):
+        raise UsageError(f"learned: order is {order!r}, possible: 2 or 3")
     if "likeliest" in found:  # a smoother's process variances are not a filter's
         found = {**found, "process": found["likeliest"], "stated": [1.0] * len(body.joints)}
     encoder, process, stated = (_positive(found, name, len(body.joints)) for name in ("encoder", "process", "stated"))
-    return NoiseModel(encoder, process, None, dict(found.get("scale", {})), dict(found.get("near", {})), stated)
+    scale, near = dict(found.get("scale", {})), dict(found.get("near", {}))
+    return NoiseModel(encoder, process, None, scale, near, stated, order=order)
 
 
 def _positive(found: Mapping[str, Any], name: str, count: int) -> Array:

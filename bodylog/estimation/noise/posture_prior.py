@@ -8,6 +8,7 @@ import numpy as np
 from ...body_model import ForwardModel
 from ...types import Array
 from ..measurements.records import Evidence
+from .steady import steady_density
 
 LASTING = 4.0
 """Factor on the process variance of joints that images hardly determine.
@@ -52,17 +53,20 @@ def learn_prior(evidence: Evidence, process: Array, start: Array) -> PosturePrio
     return prior_of(silent, {s.name: s.model for s in evidence.sightings}, process, start)
 
 
-def adrift_prior(models: Mapping[str, ForwardModel], process: Array, start: Array) -> PosturePrior | None:
-    """The prior of joints adrift; process (M,) rad²/s³ is that with encoders."""
-    return prior_of(np.ones(len(process), bool), models, LASTING * process, start)
+def adrift_prior(
+    models: Mapping[str, ForwardModel], process: Array, start: Array, order: int = 2
+) -> PosturePrior | None:  # fmt: skip
+    """The prior of joints adrift; process (M,) of motion of an order is that with encoders."""
+    return prior_of(np.ones(len(process), bool), models, LASTING * process, start, order)
 
 
-def prior_of(silent: Array, models: Mapping[str, ForwardModel], process: Array, start: Array) -> PosturePrior | None:
+def prior_of(
+    silent: Array, models: Mapping[str, ForwardModel], process: Array, start: Array, order: int = 2
+) -> PosturePrior | None:  # fmt: skip
     """The prior of the `silent` joints (M,) bool; None if there are none or no model has samples.
 
-    Pseudo-readings of density R under white acceleration q hold a joint at the variance √2 q^¼ R^¾. R is such that
-    this equals the widened variance of the explored angles. The mean is that of the explored angles, or the start if
-    only touch was measured.
+    Pseudo-readings hold a joint at a filter's steady variance, and their density is such that this equals the widened
+    variance of the explored angles. The mean is that of the explored angles, or the start if only touch was measured.
     """
     distinct = {id(model): model for model in models.values()}
     known = [model.samples for model in distinct.values() if hasattr(model, "samples") and len(model.samples) > 1]
@@ -70,6 +74,6 @@ def prior_of(silent: Array, models: Mapping[str, ForwardModel], process: Array, 
         return None
     explored, seen = np.concatenate(known), any(name != "touch" for name in models)
     var = np.square(WIDER * explored.std(axis=0))
-    density = (var / (np.sqrt(2.0) * process**0.25)) ** (4.0 / 3.0)
+    density = steady_density(var, process, order)
     silent = silent & (density > 0)
     return PosturePrior(silent, explored.mean(axis=0) if seen else start, density) if silent.any() else None

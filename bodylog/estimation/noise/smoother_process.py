@@ -110,7 +110,7 @@ def _paths(part: Problem, solved: tuple[KnotProblem, Solution], factors: Array) 
     assert trace is not None
     ends = np.zeros_like(z)
     for _ in range(TURNS):
-        after, start = adjoint.adjoints(tiled, trace, ends)
+        after, start = adjoint.adjoints(tiled, trace, ends, dynamics.order)
         ends[:, :-g] = start[:, g:]
     x, var = adjoint.means(trace, after)[:, :m], 0.25 * np.einsum("liic->lic", trace.p[:, :m, :m])
     tiles = np.stack([x, var]).reshape(2, fold.length, m, fold.count, g)
