@@ -30,6 +30,13 @@ def info(log: Path | str, settings: Settings) -> dict[str, Any]:
     return facts.info(log, settings, settings.input.strict)
 
 
+def dataset_images(log: Path, settings: Settings) -> int:
+    """Images in a dataset of a log: one of each camera for each of the first one's; 0 without an image topic."""
+    from .recording import dataset_rows
+
+    return dataset_rows.images(log, settings)
+
+
 def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
     from .logs.library import local_path
     from .recording import facts

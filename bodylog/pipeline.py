@@ -254,7 +254,7 @@ def convert(
     if form not in ("mcap", *lerobot_writer.FORMS):
         raise UsageError(f"--to {form}: possible are mcap, {', '.join(lerobot_writer.FORMS)}")
     if form != "mcap":
-        return Result(out, findings=lerobot_writer.write(logs, out, settings, form, how, task, **window))
+        return Result(out, findings=lerobot_writer.write(logs, out, settings, form, how, task, progress, **window))
     if len(logs) != 1:
         raise UsageError(f"{len(logs)} logs: an MCAP is made of one; a dataset of several, with --to lerobot")
     return Result(out, findings=conversion.convert(logs[0], out, topics, progress=progress, **window))

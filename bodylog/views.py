@@ -70,21 +70,31 @@ def _reprojected(learned: BodyModel) -> "tuple[tuple[Sheet, ...], tuple[Zero, ..
     return drawn, reprojection.zeros(values(told(learned)))
 
 
-def report(log: Path, out: Path, settings: Settings, figures: Path | None = None) -> Result:
-    """Write one HTML page about an annotated log; with `figures`, also image files in that folder."""
+def report(
+    log: Path, out: Path, settings: Settings, figures: Path | None = None, progress: Progress | None = None
+) -> Result:
+    """Write one HTML page about an annotated log; with `figures`, also image files in that folder.
+
+    `progress` is called after reading, after drawing the images, after the page and after the figures.
+    """
     from .annotating import read_back
     from .report.page import page
     from .report.viewers import image_overlay
 
     distinct([log], [Output(out), *folders("--figures", figures)], settings)
+    done = progress or _ignore
     read, features = observe(log, settings)
     found = read_back.read_estimate(log, read.start_ns)
+    done(1)
     shown = image_overlay.pictures(read, features, found)
+    done(1)
     findings = (*read.findings, *fault_warnings(found.faults))
     result = estimate_result(out, found, score_estimate(found, read), found.used, findings)
     page.write(out, found, features, read, result.scores, shown, read_back.read_metadata(log), result.verdict)
+    done(1)
     if figures is not None:
         _figures(figures, read, features, found, shown)
+        done(1)
     return result
 
 
@@ -101,8 +111,11 @@ def layout(log: Path, out: Path, settings: Settings) -> Result:
     return Result(out)
 
 
-def view(log: Path, out: Path | None, settings: Settings) -> Result:
-    """A log as a Rerun recording with measurements and estimate over its images; without `out`, in a window."""
+def view(log: Path, out: Path | None, settings: Settings, progress: Progress | None = None) -> Result:
+    """A log as a Rerun recording with measurements and estimate over its images; without `out`, in a window.
+
+    `progress` is called when the log is readable for Rerun, converted, drawn over, and merged.
+    """
     from .report.viewers import rerun_process
 
     if out is not None:
@@ -111,17 +124,23 @@ def view(log: Path, out: Path | None, settings: Settings) -> Result:
     with scratch() as folder:
         recorded = folder / "log.rrd" if out is None else out
         source, lost = _as_mcap(log, folder / "log.mcap", settings)
+        done = progress or _ignore
+        done(1)
         try:
-            result = _recorded(log, source, recorded, settings)
+            result = _recorded(log, source, recorded, settings, done)
         except LogError as refused:
             source, lost = _tidied(log, folder / "tidy.mcap", settings, refused)
-            result = _recorded(log, source, recorded, settings)
+            result = _recorded(log, source, recorded, settings, done)
         if out is None:
             rerun_process.show(recorded)
     return replace(result, output=out, findings=(*lost, *result.findings))
 
 
-def _recorded(log: Path, source: Path, out: Path, settings: Settings) -> Result:
+def _ignore(_: int) -> None:
+    """No progress is shown."""
+
+
+def _recorded(log: Path, source: Path, out: Path, settings: Settings, done: Progress) -> Result:
     """The Rerun recording of `source`, a readable copy of `log`."""
     from .recording import recording
     from .report.viewers import rerun_process, rerun_recording
@@ -131,7 +150,7 @@ def _recorded(log: Path, source: Path, out: Path, settings: Settings) -> Result:
     cameras = _cameras(source, read)
     drawn = partial(rerun_recording.write, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
     with errors_about(source, str(log)):
-        unshown = rerun_process.recording(source, out, f"{log.name} {read.start_ns}", drawn)
+        unshown = rerun_process.recording(source, out, f"{log.name} {read.start_ns}", drawn, done)
     findings = (*read.findings, *findings, *_left_out(log, unshown, cameras))
     return Result(out, () if found is None else score_estimate(found, read), findings=findings)
 

@@ -1,5 +1,6 @@
 """bodylog convert."""
 
+from functools import partial
 from pathlib import Path
 
 import click
@@ -36,11 +37,14 @@ def convert(
 
     An MCAP takes one log; a dataset takes several as its episodes.
     """
-    from bodylog import pipeline
+    from bodylog import info, pipeline
 
     from .output import progress, show
 
     settings, window = common.settings(), {"start": start, "end": end}
-    with progress("convert", logs, settings, "messages") as tick:
+    whole = start is None and end is None
+    images = partial(info.dataset_images, settings=settings) if whole else lambda _: 0
+    unit, count = ("messages", None) if form == "mcap" else ("images", images)
+    with progress("convert", logs, settings, unit, count) as tick:
         result = pipeline.convert(logs, out, settings, form, how, listed(topics), task, tick, **window)
     return show(result, logs, as_json)

@@ -164,11 +164,13 @@ def columns(rows: Sequence[Sequence[str]], left: int) -> None:
 
 @contextmanager
 def progress(
-    what: str, logs: Sequence[Any] = (), settings: "Settings | None" = None, unit: str = "images"
-) -> "Iterator[Progress | None]":
-    """A bar of images or messages on a terminal, nothing otherwise; call what is yielded with how many more are done.
+    what: str, logs: Sequence[Any] = (), settings: "Settings | None" = None, unit: str = "images",
+    count: "Callable[[Any], int] | None" = None,
+) -> "Iterator[Progress | None]":  # fmt: skip
+    """A bar of images, messages or steps on a terminal, nothing otherwise; call what it yields with how many are done.
 
-    The total is that of all messages, or of the cameras' images, in `logs`; where it is not known, the bar counts.
+    The total is what `count` gives for each of `logs`, else all messages, or the cameras' images, in them; where it is
+    not known, the bar counts.
     """
     if not sys.stderr.isatty() or verbosity() < 0:
         yield None
@@ -179,17 +181,21 @@ def progress(
 
     columns = (SpinnerColumn(), TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
     with Bar(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=_total(logs, settings, unit) or None)
+        task = bar.add_task(what, total=_total(logs, settings, unit, count) or None)
         yield lambda frames: bar.advance(task, frames)
 
 
-def _total(logs: Sequence[Any], settings: "Settings | None", unit: str) -> int:
-    """Messages of all topics, or images on the cameras'; 0 where a log cannot be read: the command says why."""
+def _total(
+    logs: Sequence[Any], settings: "Settings | None", unit: str, count: "Callable[[Any], int] | None"
+) -> int:
+    """What `count` gives, or messages of all topics, or images of the cameras; 0 where a log cannot be read."""
     from bodylog.errors import BodylogError
     from bodylog.info import info
 
     total = 0
     try:
+        if count is not None:
+            return sum(map(count, logs))
         for found in (info(log, settings) for log in logs if settings is not None):
             cameras = {topic for role, topic in found.get("roles", {}).items() if role.partition("/")[0] == "camera"}
             total += sum(topic["messages"] for topic in found.get("topics", ())

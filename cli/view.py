@@ -18,6 +18,8 @@ def view(log: Path, out: Path | None, common: Common, as_json: bool) -> int:
     """
     from bodylog import views
 
-    from .output import show
+    from .output import progress, show
 
-    return show(views.view(log, out, common.settings()), log, as_json)
+    with progress("view", [log], unit="steps", count=lambda _: 4) as tick:
+        result = views.view(log, out, common.settings(), tick)
+    return show(result, log, as_json)

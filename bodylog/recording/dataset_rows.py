@@ -83,6 +83,14 @@ def rows(
     return Rows(ns, at_rows, views, task, _rate(joints, ns), joints.get("bodylog.robot"), findings)
 
 
+def images(path: Path, settings: Settings) -> int:
+    """Images of a whole log's rows: one of each camera for each of the first one's; 0 without an image topic."""
+    names = _every_camera(path, settings).topics.cameras
+    with open_log(path, settings.input.strict, settings.input) as log:
+        first = sum(topic.messages for topic in log.topics if names and topic.name == names[0])
+    return len(names) * first
+
+
 def nearest(of: Array, at: Array) -> Array:
     """Index of the time in `of` (n,), ascending, nearest to each of `at` (m,); the earlier one of two equally near."""
     after = np.minimum(np.searchsorted(of, at), len(of) - 1)

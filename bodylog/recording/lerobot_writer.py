@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from ..io.temporary import scratch
 from ..logs.datasets.encode import Codec, codec, encode
 from ..logs.datasets.extra import require_module
 from ..logs.datasets.statistics import Sampled, of_numbers, together
+from ..logs.protocol import Progress
 from ..settings import Settings
 from ..types import Array, Finding
 from .dataset_rows import Feature, Rows, View, rows
@@ -39,6 +41,7 @@ class _Written:
     folder: Path
     form: str
     codec: Codec
+    progress: Progress | None = None
     features: dict[str, dict[str, Any]] = field(default_factory=dict)
     fps: float = 0.0
     robot: str | None = None
@@ -50,17 +53,18 @@ class _Written:
 
 def write(
     logs: Sequence[Path], out: Path, settings: Settings, form: str = V3, how: str = "lossless",
-    task: str | None = None, start: float | None = None, end: float | None = None,
+    task: str | None = None, progress: Progress | None = None, start: float | None = None, end: float | None = None,
 ) -> tuple[Finding, ...]:  # fmt: skip
     """Write a LeRobot folder `out` with an episode per log; an exception leaves nothing.
 
-    form: lerobot (v3.0) or lerobot-2.1 · how: lossless, h264 or av1 · start, end: s since the log's first joints.
+    form: lerobot (v3.0) or lerobot-2.1 · how: lossless, h264 or av1 · start, end: s since the log's first joints ·
+    progress: called with the number of further images done.
     """
     for module in ("pyarrow", "av"):
         require_module(module, out)
     out = _place(out)
     with scratch(out.parent) as folder:
-        done = _Written(folder / out.name, form, codec(how))
+        done = _Written(folder / out.name, form, codec(how), progress)
         done.folder.mkdir()
         findings = [one for log in logs for one in _episode(done, rows(log, settings, task, start, end), log)]
         _meta(done)
@@ -185,7 +189,8 @@ def _video(
     path = done.folder / _PATHS[done.form][1].format(**keys, video_key=name)
     path.parent.mkdir(parents=True, exist_ok=True)
     sampled = Sampled()
-    error = encode(path, done.codec, lambda: map(sampled.seen, view.images()), t, view.size)
+    passes = count()
+    error = encode(path, done.codec, lambda: map(sampled.seen, _half(view, next(passes), done.progress)), t, view.size)
     stats[name] = sampled.stats(len(t))
     if done.form == V3:
         row |= {f"videos/{name}/{key}": keys[key] for key in ("chunk_index", "file_index")}
@@ -196,6 +201,14 @@ def _video(
         text = f"{log}: {name}: {len(view.unread)} of {len(t)} images cannot be read and repeat the previous one"
         findings.append(Finding("lost", text))
     return findings
+
+
+def _half(view: View, number: int, progress: Progress | None) -> Iterator[Array]:
+    """The images of a pass; of the two, written and read back, each reports every second image as done."""
+    for k, image in enumerate(view.images()):
+        if progress is not None and k % 2 == number % 2:
+            progress(1)
+        yield image
 
 
 def _table(path: Path, columns: Mapping[str, Array]) -> None:

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -161,3 +162,29 @@ def test_documented_completion_lines_give_a_script(shell: str) -> None:
     environment = {**os.environ, "_BODYLOG_COMPLETE": f"{shell}_source"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and f"_BODYLOG_COMPLETE={shell}_complete" in done.stdout
+
+
+def test_bars_end_at_their_totals(robot, tmp_path, monkeypatch, run_cli):
+    """Of commands that count steps, or images that they write."""
+    from rich.progress import Progress
+
+    totals, done = list[float](), list[float]()
+
+    def added(_self: Progress, _text: str, total: float) -> int:
+        totals.append(total)
+        return 0
+
+    monkeypatch.setattr(Progress, "add_task", added)
+    monkeypatch.setattr(Progress, "advance", lambda _self, _task, more: done.append(more))
+    log = tmp_path / "annotated.mcap"
+    assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", log) == 0
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    commands = {("report", log, "-o", tmp_path / "page.html"): 3}
+    if find_spec("rerun_cli"):
+        commands["view", log, "-o", tmp_path / "log.rrd"] = 4
+    if find_spec("av") and find_spec("pyarrow"):
+        commands["convert", robot / "reach.mcap", "-o", tmp_path / "set", "--to", "lerobot"] = 80
+    for command, total in commands.items():
+        totals.clear(), done.clear()
+        assert run_cli(*command) == 0
+        assert totals == [total] == [sum(done)], command

@@ -227,7 +227,7 @@ def test_events_are_in_order_with_their_synchrony():
 def test_rerun_failure_is_one_line_and_leaves_nothing(tmp_path):
     (tmp_path / "a.mcap").write_bytes(b"no log at all" * 100)
     with pytest.raises(LogError, match=r"a\.mcap: Rerun cannot read it \(.+\); type: bodylog doctor") as refused:
-        rerun_process.recording(tmp_path / "a.mcap", tmp_path / "a.rrd", "a", lambda out, identity, unshown: None)
+        rerun_process.recording(tmp_path / "a.mcap", tmp_path / "a.rrd", "a", lambda *_: None, lambda _: None)
     assert "\n" not in str(refused.value) and sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap"]
 
 

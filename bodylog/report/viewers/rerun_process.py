@@ -31,9 +31,12 @@ def ready() -> None:
         raise UsageError("view: rerun-sdk is not installed; type: pip install 'bodylog[view]'")
 
 
-def recording(source: Path, out: Path, identity: str, companion: Companion) -> dict[str, str]:
+def recording(
+    source: Path, out: Path, identity: str, companion: Companion, done: Callable[[int], None]
+) -> dict[str, str]:
     """Merge an MCAP and the recording that `companion` writes into one recording (.rrd) of that identity.
 
+    `done` is called with 1 after each of the three steps.
     Returns {entity that Rerun cannot show: reason}, which `companion` gets too. LogError: Rerun refuses the log.
     """
     with scratch() as folder, replacing(out) as beside:
@@ -44,8 +47,11 @@ def recording(source: Path, out: Path, identity: str, companion: Companion) -> d
         identity = identity.encode(errors="backslashreplace").decode()
         named = ["--application-id", APPLICATION, "--recording-id", identity]
         unshown = _run(["mcap", "convert", str(log), *named, "-o", str(converted)], folder, source)
+        done(1)
         companion(drawn, identity, unshown)
+        done(1)
         _run(["rrd", "merge", str(converted), str(drawn), "-o", str(merged)], folder, source)
+        done(1)
     return unshown
 
 

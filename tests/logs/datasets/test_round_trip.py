@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import bodylog.logs as logs
-from bodylog import pipeline
+from bodylog import info, pipeline
 from bodylog.errors import FormatError, LogError, UsageError
 from bodylog.logs.datasets import video
 from bodylog.logs.formats import open_log
@@ -132,7 +132,9 @@ def _recorded(path: Path, rows: int = 30) -> Path:
 
 def test_convert_keeps_a_logs_own_times(tmp_path):
     log = _recorded(tmp_path / "run.mcap")
-    done = pipeline.convert([log], tmp_path / "new", Settings(), "lerobot")
+    ticks = list[int]()
+    done = pipeline.convert([log], tmp_path / "new", Settings(), "lerobot", progress=ticks.append)
+    assert sum(ticks) == info.dataset_images(log, Settings()) == 30
     reported = " ".join(one.text for one in done.findings)
     assert (
         "topics that the dataset leaves out: /load" in reported and "the nearest reading of others is taken" in reported
@@ -152,9 +154,9 @@ def test_convert_keeps_a_logs_own_times(tmp_path):
     np.testing.assert_allclose(rows["timestamp"], np.arange(30) / 31.25, atol=1e-6)
     (film,) = (tmp_path / "new/videos").rglob("*.mp4")
     np.testing.assert_allclose(video.survey(film, 1.0).t, np.arange(30) / 31.25, atol=1e-6)
-    info = json.loads((tmp_path / "new/meta/info.json").read_text())
-    assert info["features"]["observation.state"]["dtype"] == "float64"  # in float32 they would not be the same
-    assert info["features"]["observation.state"]["unit"] == "rad"
+    features = json.loads((tmp_path / "new/meta/info.json").read_text())["features"]
+    assert features["observation.state"]["dtype"] == "float64"  # in float32 they would not be the same
+    assert features["observation.state"]["unit"] == "rad"
 
 
 def test_convert_writes_part_of_a_log(tmp_path):
