@@ -17,6 +17,7 @@ _LARGEST = 8e18
 """Mantissas below this fit 64 bits."""
 
 _TENS = 10 ** np.arange(19, dtype=np.int64)
+_SIZES = 10.0 ** np.arange(25)
 _POWERS = np.array([float(10**k) for k in range(23)])
 """Powers of ten that are floats exactly."""
 
@@ -78,9 +79,9 @@ def _read(content: bytes | bytearray, starts: Array, ends: Array) -> _Decimals:
     pointed = point < last
     before = np.where(pointed, point - first, 0)
     count = last - np.where(pointed, point + 1, first)
-    lead, good = _eight(words, point, before)
+    lead, good = _lead(letters, words, first, point, before)
     tail, fine = _tail(words, last, count)
-    sure &= good & fine & (before <= 8) & (last >= 24) & (lead * 10.0 ** np.minimum(count, 24) < _LARGEST)
+    sure &= good & fine & (before <= 8) & (last >= 24) & (lead * _SIZES[np.minimum(count, 24)] < _LARGEST)
     sure &= (letters[first] != ord("0")) | (np.where(pointed, before, count) == 1)
     mantissa = np.where(sure, lead * _TENS[np.clip(count, 0, 18)] + tail, 0)
     scale, whole = np.where(pointed, count, 0) - exponent, ~pointed & (last == ends)
@@ -90,13 +91,24 @@ def _read(content: bytes | bytearray, starts: Array, ends: Array) -> _Decimals:
 
 def _exponents(letters: Array, first: Array, ends: Array) -> tuple[Array, Array, Array]:
     """Exponents of two digits, where the numbers end before them, and whether these are exponents."""
-    marked = (ends - 4 > first) & (letters[ends - 4] == POWER[0])
-    if not marked.any():
-        return np.zeros(len(ends), np.int64), ends, np.ones(len(ends), bool)
-    sign, tens, ones = (letters[ends - k].astype(np.int64) for k in (3, 2, 1))
-    size = np.where(sign == ord("-"), -1, 1) * ((tens - ord("0")) * 10 + ones - ord("0"))
-    digits = (abs(2 * tens - 105) <= 9) & (abs(2 * ones - 105) <= 9) & ((sign == ord("-")) | (sign == ord("+")))
-    return np.where(marked, size, 0), ends - 4 * marked, digits | ~marked
+    size, last, sure = np.zeros(len(ends), np.int64), ends, np.ones(len(ends), bool)
+    rows = np.flatnonzero((letters[ends - 4] == POWER[0]) & (ends - 4 > first))
+    if len(rows):
+        sign, tens, ones = (letters[ends[rows] - k].astype(np.int64) for k in (3, 2, 1))
+        size[rows] = np.where(sign == ord("-"), -1, 1) * ((tens - ord("0")) * 10 + ones - ord("0"))
+        digits = (abs(2 * tens - 105) <= 9) & (abs(2 * ones - 105) <= 9)
+        sure[rows] = digits & ((sign == ord("-")) | (sign == ord("+")))
+        last = ends.copy()
+        last[rows] -= 4
+    return size, last, sure
+
+
+def _lead(letters: Array, words: Array, first: Array, point: Array, before: Array) -> tuple[Array, Array]:
+    """The `before` (N,) digits before the point, and whether they are digits; mostly there is one."""
+    if before.max(initial=0) > 1:
+        return _eight(words, point, before)
+    digit = (letters[first] - np.uint8(ord("0"))) * before.astype(np.uint8)
+    return digit.astype(np.int64), digit <= 9
 
 
 def _tail(words: Array, last: Array, count: Array) -> tuple[Array, Array]:
@@ -115,9 +127,13 @@ def _tail(words: Array, last: Array, count: Array) -> tuple[Array, Array]:
 
 def _eight(words: Array, ends: Array, count: Array) -> tuple[Array, Array]:
     """Up to eight digits that end at bytes `ends` (N,) as numbers, and whether they are digits."""
-    mask = _MASKS[np.clip(count, 0, 8)]
-    found = words[np.maximum(ends - 8, 0)] & mask
-    sure = (found & ~_NIBBLES) == (_DIGIT & mask)
+    found = words[np.maximum(ends - 8, 0)]
+    if count.min(initial=8) >= 8:
+        sure = (found & ~_NIBBLES) == _DIGIT
+    else:
+        mask = _MASKS[np.clip(count, 0, 8)]
+        found &= mask
+        sure = (found & ~_NIBBLES) == (_DIGIT & mask)
     found &= _NIBBLES
     for factor, shift, kept in _STEPS:  # digits, pairs and fours of digits are combined within their word
         found = (found * factor >> shift) & kept
