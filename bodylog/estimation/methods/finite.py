@@ -7,6 +7,7 @@ import numpy as np
 
 from ...errors import EvidenceError
 from ...types import Array, Estimate
+from ..measurements.long_arrays import seen
 
 
 def finite(found: Estimate) -> Estimate:
@@ -39,11 +40,11 @@ def _suspects(found: Estimate) -> Iterator[tuple[str, Array, Array]]:
     for j, name in enumerate(found.joints.names):
         yield f"the angle of {name}", t, ~np.isfinite(found.joints.values[:, j])
         yield f"the rate of {name}", t, ~np.isfinite(found.rate.values[:, j])
-        yield f"the variance of {name}", t, ~(np.isfinite(found.cov[:, j]).all(axis=1) & (var[:, j] >= 0.0))
+        yield f"the variance of {name}", t, ~(seen(found.cov[:, j]) & (var[:, j] >= 0.0))
         if found.bias is not None:
             yield f"the encoder offset of {name}", t, ~np.isfinite(found.bias.values[:, j])
     yield "the free energy", t, ~np.isfinite(found.free_energy)
     for name, track in found.predicted.items():
-        yield f"the place predicted of {name}", track.t, np.asarray(~np.isfinite(track.values).all(axis=1))
+        yield f"the place predicted of {name}", track.t, ~seen(track.values)
         cov = found.predicted_cov[name]
-        yield f"the covariance predicted of {name}", track.t, np.asarray(~np.isfinite(cov).all(axis=(1, 2)))
+        yield f"the covariance predicted of {name}", track.t, ~seen(cov.reshape(len(cov), cov.shape[1] ** 2))
