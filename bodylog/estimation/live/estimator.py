@@ -191,16 +191,11 @@ class _Filter:
         dt = at.t - before.t if np.isfinite(before.t) else 0.0
         angles = np.full(len(self.encoder_var), np.nan) if at.angles is None else at.angles
         watch = replace(before.watch, borne=np.array(before.borne))
-        loose, z, p = watch.loose, before.belief[:, -1], before.belief[:, :-1]
-        z, p = self.motion.move(z, p, dt, np.where(loose, LASTING, 1.0) if loose.any() else None)
-        order = self.motion.order
+        order, (z, p) = self.motion.order, self._moved(before.belief, dt, watch.loose)
         lost, borne = watch.judge(at.t, z, p, angles, self.encoder_var, bool(at.places), order)
         if lost is not None:
             forget(z, p, lost, angles, dt, order)
-        here = {
-            name: watch.with_last_frame(name, self._sight(name, at.t, *place))
-            for name, place in at.places.items()
-        }
+        here = {name: self._sight(name, at.t, *place, watch.seen.get(name)) for name, place in at.places.items()}
         angles, var, motion = *self._encoders(angles, dt), self.motion
         if adrift := bool(here and watch.adrift(at.t).any()):
             angles, var, is_prior = watch.add_prior(at.t, self.adrift_posture, angles, var)
@@ -209,11 +204,22 @@ class _Filter:
         errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
         watch = watch.after(at.t, borne, here, found.memories)
         oldest = -np.inf if watch.loose.any() else float(watch.borne.min())
-        belief = np.column_stack([found.p, found.z])
+        belief = np.empty(before.belief.shape)
+        belief[:, :-1], belief[:, -1] = found.p, found.z
         return State(at.t, belief, watch, watch.borne.tolist(), oldest, 0, found.nats, errors, lost)
 
-    def _sight(self, name: str, t: float, place: Array, var: Array) -> PendingFrame:
-        return PendingFrame(self.models[name], t, place, self.scale.get(name, 1.0) * var, self.like[name], LastFrame())
+    def _moved(self, belief: Array, dt: float, loose: Array) -> tuple[Array, Array]:
+        """Mean (K,) and covariance (K,K) after dt (s), of `loose` joints (M,) bool with more process noise."""
+        if loose.any():
+            return self.motion.move(belief[:, -1], belief[:, :-1], dt, np.where(loose, LASTING, 1.0))
+        found = self.steady.moved(belief, dt)
+        even(found)
+        return found[:, -1], found[:, :-1]
+
+    def _sight(self, name: str, t: float, place: Array, var: Array, last: PendingFrame | None) -> PendingFrame:
+        """A frame at t (s), with the track's last one."""
+        memory = LastFrame() if last is None else last.memory
+        return PendingFrame(self.models[name], t, place, self.scale.get(name, 1.0) * var, self.like[name], memory)
 
     def _encoders(self, x: Array, dt: float) -> tuple[Array, Array]:
         """Angles and variances (M,) rad², with pseudo-readings of the posture prior for joints without an encoder."""
