@@ -11,9 +11,10 @@ from ..errors import ConfigError, FormatError, LogError
 from ..io.values import reject_impossible
 from ..logs.decode.columns import columns_of
 from ..logs.formats import open_log
+from ..logs.mcap import opcodes as op
 from ..logs.mcap.prefix import NAME
 from ..logs.mcap.record_file import RecordFile
-from ..logs.mcap.records import HEAD, METADATA, METADATA_INDEX, parse
+from ..logs.mcap.records import HEAD, parse
 from ..logs.protocol import Log
 from ..logs.topic_names import PREFIX, TRACK, TRACK_NAMES, unescape
 from ..types import (
@@ -59,10 +60,10 @@ def read_metadata(path: Path) -> dict[str, str]:
     try:
         with RecordFile(path) as file:
             _, summary = file.summary()
-            listed = [r.fields for r, _ in summary if r.opcode == METADATA_INDEX and r.fields["name"] == NAME]
+            listed = [r.fields for r, _ in summary if r.opcode == op.METADATA_INDEX and r.fields["name"] == NAME]
             if listed:
                 record = memoryview(file.read(listed[-1]["offset"], listed[-1]["length"]))
-                return dict(parse(METADATA, record[HEAD.size :]).fields["metadata"])
+                return dict(parse(op.METADATA, record[HEAD.size :]).fields["metadata"])
     except (FormatError, OSError):
         pass  # not a whole MCAP, so not one that bodylog wrote
     raise LogError(f"{path}: no estimate in it, unless its end was cut off; {type_again(path)}")

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 from ..errors import FormatError
 from ..logs.decode.definitions import parse
-from ..logs.mcap.records import HEAD, SCHEMA
+from ..logs.mcap import opcodes as op
+from ..logs.mcap.records import HEAD
 from ..logs.mcap.records import parse as parse_record
 from ..types import Finding, Outgoing
 
@@ -30,7 +31,7 @@ def rename_conflicting(
 def _defined(schemas: Iterable[bytes]) -> dict[str, object]:
     types: dict[str, object] = {}
     for raw in schemas:
-        fields = parse_record(SCHEMA, memoryview(raw)[HEAD.size :]).fields
+        fields = parse_record(op.SCHEMA, memoryview(raw)[HEAD.size :]).fields
         if fields["encoding"] in _READ and _BORROWED.encode() in raw:
             try:
                 types |= parse(fields["data"], fields["name"], fields["encoding"]).types

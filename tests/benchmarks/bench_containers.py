@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.mcap import opcodes as op
 from bodylog.logs.mcap.chunks import chunk_head
-from bodylog.logs.mcap.records import CHUNK, HEAD, MAGIC
+from bodylog.logs.mcap.records import HEAD, MAGIC
 from bodylog.logs.storage.compression import Buffer
 from bodylog.logs.storage.mmapped import mapped
 from tests.benchmarks.goals import at_least, at_most
@@ -85,7 +86,7 @@ def unpack_only(path: Path) -> int:
     data, buffer, at, total = mapped(path), Buffer(), len(MAGIC), 0
     while at < len(data) - len(MAGIC):
         opcode, length = HEAD.unpack_from(data, at)
-        if opcode == CHUNK:
+        if opcode == op.CHUNK:
             _, _, size, _, compression, packed = chunk_head(data, at)
             total += zlib.crc32(buffer.load(compression, packed, size).data) & 1
         at += HEAD.size + length

@@ -9,8 +9,9 @@ import pytest
 from isal.isal_zlib import crc32
 
 from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.mcap import opcodes as op
 from bodylog.logs.mcap.chunks import chunk_head
-from bodylog.logs.mcap.records import CHUNK, FIELDS, HEAD, MAGIC, MESSAGE_INDEX, Record, iter_records, parse
+from bodylog.logs.mcap.records import FIELDS, HEAD, MAGIC, Record, iter_records, parse
 from bodylog.logs.storage.compression import Buffer
 
 FOLDER = Path(__file__).parents[2].parent / "shared" / "logs" / "foxglove__mcap"
@@ -40,7 +41,7 @@ def every_record(data: memoryview) -> Iterator[Record]:
     """All records of a file, those of chunks in place of the chunk."""
     buffer = Buffer()
     for opcode, at, length in iter_records(data, len(MAGIC), len(data) - len(MAGIC)):
-        if opcode == CHUNK:
+        if opcode == op.CHUNK:
             _, _, size, crc, compression, packed = chunk_head(data, at - HEAD.size)
             content = buffer.load(compression, packed, size).data
             assert not crc or crc32(content) == crc
@@ -56,7 +57,8 @@ def test_conformance_files_are_complete() -> None:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_records_equal_the_conformance_json(path: Path) -> None:
-    found = [as_json(r) for r in every_record(memoryview(path.read_bytes())) if r.opcode not in (CHUNK, MESSAGE_INDEX)]
+    records = every_record(memoryview(path.read_bytes()))
+    found = [as_json(r) for r in records if r.opcode not in (op.CHUNK, op.MESSAGE_INDEX)]
     assert found == expected(path)
 
 

@@ -8,9 +8,10 @@ from mcap.writer import Writer
 
 from bodylog.errors import BodylogError
 from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.mcap import opcodes as op
 from bodylog.logs.mcap import resync
 from bodylog.logs.mcap.chunks import LooseRecords, following, loose_messages
-from bodylog.logs.mcap.records import HEAD, MAGIC, MESSAGE, iter_records
+from bodylog.logs.mcap.records import HEAD, MAGIC, iter_records
 
 SEEDS = range(12)
 
@@ -72,15 +73,15 @@ def test_following_equals_single_records(tmp_path, monkeypatch, seed, finish):
 def test_following_finds_the_messages_of_iter_records(tmp_path, seed):
     data = memoryview(unchunked(tmp_path / "x.mcap", seed))
     end = len(data) - len(MAGIC)
-    expected = [at - HEAD.size for opcode, at, _ in iter_records(data, len(MAGIC), end) if opcode == MESSAGE]
+    expected = [at - HEAD.size for opcode, at, _ in iter_records(data, len(MAGIC), end) if opcode == op.MESSAGE]
     found = [int(at) for some in loose_messages(data, LooseRecords(len(MAGIC), end)) for at in some.starts]
     assert found == expected
 
 
 def test_following_ends_before_a_truncated_message():
-    whole = HEAD.pack(MESSAGE, 30) + bytes(30)
+    whole = HEAD.pack(op.MESSAGE, 30) + bytes(30)
     for count in (3, 40):
-        for tail in (whole[:-1], HEAD.pack(MESSAGE, 21) + bytes(21), HEAD.pack(MESSAGE, 1 << 63), b"\x05"):
+        for tail in (whole[:-1], HEAD.pack(op.MESSAGE, 21) + bytes(21), HEAD.pack(op.MESSAGE, 1 << 63), b"\x05"):
             data = memoryview(whole * count + tail)
             starts, after = following(data, 0, len(data))
             assert (starts.tolist(), after) == ([39 * k for k in range(count)], 39 * count)

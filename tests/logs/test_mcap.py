@@ -18,7 +18,8 @@ from bodylog.errors import FormatError
 from bodylog.logs.decode.ros1_to_cdr import known_definition
 from bodylog.logs.encode.cdr import CdrField, serialise
 from bodylog.logs.formats import open_log, payloads
-from bodylog.logs.mcap.records import CHANNEL, SCHEMA, parse
+from bodylog.logs.mcap import opcodes as op
+from bodylog.logs.mcap.records import parse
 from bodylog.logs.storage.compression import Buffer
 from bodylog.recording.recording import read
 from bodylog.settings import Settings
@@ -196,9 +197,9 @@ def test_batches_decompress_single_payloads(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("opcode", "body"),
     [
-        (SCHEMA, struct.pack("<HI", 1, 1 << 31) + b"x"),
-        (CHANNEL, struct.pack("<HHI", 1, 1, 5) + b"topic" + struct.pack("<I", 3) + b"cd"),
-        (CHANNEL, struct.pack("<HHIII", 1, 1, 0, 0, 7) + b"\x01\x00\x00\x00a\xff\xff"),
+        (op.SCHEMA, struct.pack("<HI", 1, 1 << 31) + b"x"),
+        (op.CHANNEL, struct.pack("<HHI", 1, 1, 5) + b"topic" + struct.pack("<I", 3) + b"cd"),
+        (op.CHANNEL, struct.pack("<HHIII", 1, 1, 0, 0, 7) + b"\x01\x00\x00\x00a\xff\xff"),
         (8, struct.pack("<QQQQI", 0, 0, 0, 0, 11) + bytes(11)),
     ],
 )

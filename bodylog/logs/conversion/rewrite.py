@@ -8,9 +8,10 @@ from ...io.atomic_files import replacing
 from ...io.outputs import Output, guard
 from ..formats import open_log, payloads
 from ..limits import LIMITS, Input
+from ..mcap import opcodes as op
 from ..mcap.chunks import MESSAGE_HEAD
 from ..mcap.reader import McapLog
-from ..mcap.records import ATTACHMENT, HEAD, HEADER, METADATA, Record
+from ..mcap.records import HEAD, Record
 from ..protocol import Log
 from ..records import Finding, Topic
 
@@ -39,7 +40,7 @@ def _writer(beside: Path, profile: str) -> Any:
 
 def _mcap(log: McapLog, beside: Path) -> int:
     """Copy channels, sequence numbers, publish times, attachments and metadata unchanged; returns messages written."""
-    header = next(log.records(HEADER), None)
+    header = next(log.records(op.HEADER), None)
     writer, survey, count = _writer(beside, header.fields["profile"] if header else ""), log.survey, 0
     schemas = {number: _schema(writer, record) for number, record in survey.schemas.items()}
     channels = {}
@@ -56,12 +57,12 @@ def _mcap(log: McapLog, beside: Path) -> int:
                 payload = content[start + MESSAGE_HEAD.itemsize : start + HEAD.size + size]
                 writer.add_message(channels[channel], log_ns % _U64, bytes(payload), publish_ns % _U64, sequence)
                 count += 1
-    for record in log.records(ATTACHMENT):
+    for record in log.records(op.ATTACHMENT):
         fields = record.fields
         writer.add_attachment(
             fields["create_time"], fields["log_time"], fields["name"], fields["media_type"], bytes(fields["data"])
         )
-    for record in log.records(METADATA):
+    for record in log.records(op.METADATA):
         writer.add_metadata(record.fields["name"], record.fields["metadata"])
     writer.finish()
     return count

@@ -13,11 +13,12 @@ from ..decode.ros1_to_cdr import Converter, converter, known_definition
 from ..encode.cdr import Payloads, merge
 from ..formats import open_log
 from ..limits import LIMITS, Input
+from ..mcap import opcodes as op
 from ..mcap.chunks import heads_at
 from ..mcap.encode import MESSAGE_HEAD, MessageTable, attachment, gather, metadata
 from ..mcap.prefix import NAME, no_utf8
 from ..mcap.record_file import sound_heads
-from ..mcap.records import ATTACHMENT, HEADER, MESSAGE, METADATA, Record, is_mcap
+from ..mcap.records import Record, is_mcap
 from ..mcap.writer import CHUNK_BYTES, Contents, Writer
 from ..protocol import Progress, counted
 from ..records import Array, Batch, Finding, Topic
@@ -155,7 +156,7 @@ def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
     start = batch.offset - MESSAGE_HEAD
     if len(start) and start.min() >= 0:
         heads = heads_at(batch.data, start)
-        if (heads["opcode"] == MESSAGE).all() and (heads["log"] == batch.log_ns).all():
+        if (heads["opcode"] == op.MESSAGE).all() and (heads["log"] == batch.log_ns).all():
             return heads["sequence"], heads["publish"]
     return carrier.carried + np.arange(len(batch.log_ns)), batch.log_ns
 
@@ -223,7 +224,7 @@ def _profile(source: Path) -> str:
     """The profile of an MCAP; empty when its header is damaged."""
     for file, head in sound_heads(source):
         with suppress(FormatError):
-            return str(file.fields(head).fields["profile"]) if head.opcode == HEADER else ""
+            return str(file.fields(head).fields["profile"]) if head.opcode == op.HEADER else ""
         break
     return ""
 
@@ -237,7 +238,7 @@ def _extras(source: Path, writer: Writer, ours: bool, limits: Input) -> list[Fin
         return unpack_file(source, lambda inner: _extras(inner, writer, ours, limits), limits)
     lost = []
     for file, head in sound_heads(source):
-        if head.opcode in (ATTACHMENT, METADATA):
+        if head.opcode in (op.ATTACHMENT, op.METADATA):
             try:
                 _keep_extra(file.fields(head), file.record(head), writer, ours)
             except FormatError as problem:
@@ -247,7 +248,7 @@ def _extras(source: Path, writer: Writer, ours: bool, limits: Input) -> list[Fin
 
 def _keep_extra(record: Record, raw: bytes, writer: Writer, ours: bool) -> None:
     """Copy an attachment or metadata record; text that is not UTF-8 is written as far as it can be decoded."""
-    if record.opcode == ATTACHMENT:
+    if record.opcode == op.ATTACHMENT:
         writer.keep_attachment(attachment(record.fields) if no_utf8(record) else raw, record.fields)
     elif ours or record.fields["name"] != NAME:
         name, pairs = record.fields["name"], record.fields["metadata"]

@@ -13,34 +13,16 @@ from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import Buffer
 from ..storage.mmapped import drop_pages
+from . import opcodes as op
 from .chunks import Chunk, MessageRecords, chunk_head, heads_at, index_of, load, messages
-from .records import (
-    ATTACHMENT,
-    ATTACHMENT_INDEX,
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    DATA_END,
-    HEAD,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    METADATA_INDEX,
-    SCHEMA,
-    STATISTICS,
-    SUMMARY_OFFSET,
-    Record,
-    iter_records,
-    parse,
-)
+from .records import HEAD, MAGIC, Record, iter_records, parse
 from .resync import sound_records
 from .summary import records_of, section
 
 Say = Callable[[str, str], None]
 """Reports a finding: its kind and its text."""
 
-_INDEXES = {ATTACHMENT_INDEX: ("attachment", ATTACHMENT), METADATA_INDEX: ("metadata", METADATA)}
+_INDEXES = {op.ATTACHMENT_INDEX: ("attachment", op.ATTACHMENT), op.METADATA_INDEX: ("metadata", op.METADATA)}
 
 
 @dataclass
@@ -50,7 +32,7 @@ class _Tally:
     messages: dict[int, int] = field(default_factory=dict)
     times: list[int] = field(default_factory=list)
     records: dict[int, int] = field(default_factory=dict)
-    declared: dict[int, set[int]] = field(default_factory=lambda: {SCHEMA: set(), CHANNEL: set()})
+    declared: dict[int, set[int]] = field(default_factory=lambda: {op.SCHEMA: set(), op.CHANNEL: set()})
     lost: int = 0
 
     def add(self, heads: Array) -> None:
@@ -74,17 +56,17 @@ def check(data: memoryview, diagnostics: Diagnostics, say: Say) -> None:
     for opcode, at, length in sound_records(data, len(MAGIC), len(data), (), lost):
         tally.records[opcode] = tally.records.get(opcode, 0) + 1
         body = data[at + HEAD.size : at + HEAD.size + length]
-        if opcode == CHUNK:
+        if opcode == op.CHUNK:
             chunk = _chunk(data, at, length, tally, buffer, diagnostics, say)
-        elif opcode == MESSAGE_INDEX and chunk is not None:
+        elif opcode == op.MESSAGE_INDEX and chunk is not None:
             _index(data, at, chunk, say)
-        elif opcode == MESSAGE:
+        elif opcode == op.MESSAGE:
             tally.add(heads_at(data, np.array([at])))
         elif opcode in tally.declared:
             tally.declared[opcode].add(parse(opcode, body).fields["id"])
-        elif opcode == ATTACHMENT:
+        elif opcode == op.ATTACHMENT:
             _attachment(at, body, say)
-        elif opcode == DATA_END:
+        elif opcode == op.DATA_END:
             _data_end(data, at, body, say)
             break
     with suppress(FormatError):  # the reader reports it
@@ -151,28 +133,28 @@ def _summary(data: memoryview, records: Iterable[Record], tally: _Tally, say: Sa
     listed = 0
     for record in records:
         fields = record.fields
-        listed += record.opcode == CHUNK_INDEX
-        if record.opcode == STATISTICS and not tally.lost:
+        listed += record.opcode == op.CHUNK_INDEX
+        if record.opcode == op.STATISTICS and not tally.lost:
             _statistics(fields, tally, say)
-        elif record.opcode == CHUNK_INDEX:
+        elif record.opcode == op.CHUNK_INDEX:
             _chunk_index(data, fields, say)
         elif record.opcode in _INDEXES:
             name, opcode = _INDEXES[record.opcode]
             _points(data, fields["offset"], fields["length"], opcode, f"the {name} index", say)
-        elif record.opcode == SUMMARY_OFFSET:
+        elif record.opcode == op.SUMMARY_OFFSET:
             _group(data, fields, say)
-    if listed and not tally.lost and listed != tally.records.get(CHUNK, 0):
-        say("chunk index", f"the summary lists {listed} chunks, the file holds {tally.records.get(CHUNK, 0)}")
+    if listed and not tally.lost and listed != tally.records.get(op.CHUNK, 0):
+        say("chunk index", f"the summary lists {listed} chunks, the file holds {tally.records.get(op.CHUNK, 0)}")
 
 
 def _statistics(fields: dict[str, Any], tally: _Tally, say: Say) -> None:
     held = {
         "message_count": sum(tally.messages.values()),
-        "schema_count": len(tally.declared[SCHEMA]),
-        "channel_count": len(tally.declared[CHANNEL]),
-        "attachment_count": tally.records.get(ATTACHMENT, 0),
-        "metadata_count": tally.records.get(METADATA, 0),
-        "chunk_count": tally.records.get(CHUNK, 0),
+        "schema_count": len(tally.declared[op.SCHEMA]),
+        "channel_count": len(tally.declared[op.CHANNEL]),
+        "attachment_count": tally.records.get(op.ATTACHMENT, 0),
+        "metadata_count": tally.records.get(op.METADATA, 0),
+        "chunk_count": tally.records.get(op.CHUNK, 0),
         "message_start_time": min(tally.times, default=0),
         "message_end_time": max(tally.times, default=0),
     }
@@ -201,7 +183,7 @@ def _chunk_index(data: memoryview, fields: dict[str, Any], say: Say) -> None:
             text = f"the chunk index says {name} {fields[name]} of the chunk at byte {start}"
             say(f"chunk index {name}", f"{text}, which has {value}")
     for channel, at in fields["message_index_offsets"].items():
-        if at + HEAD.size > len(data) or data[at] != MESSAGE_INDEX or data[at + HEAD.size] != channel & 255:
+        if at + HEAD.size > len(data) or data[at] != op.MESSAGE_INDEX or data[at + HEAD.size] != channel & 255:
             say("chunk index offset", f"the chunk index says channel {channel} is indexed at byte {at}: it is not")
 
 

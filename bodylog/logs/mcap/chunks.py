@@ -13,7 +13,8 @@ from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import Buffer
 from ..storage.mmapped import ensure_local
-from .records import CHUNK, HEAD, MESSAGE, MESSAGE_INDEX, iter_records
+from . import opcodes as op
+from .records import HEAD, iter_records
 
 MESSAGE_HEAD = np.dtype(
     [("opcode", "u1"), ("size", "<i8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
@@ -72,7 +73,7 @@ def chunk_head(data: memoryview, start: int, cut: bool = False) -> tuple[int, in
     first, last, size, crc, letters = CHUNK_HEAD.unpack_from(data, start + HEAD.size)
     at = start + HEAD.size + CHUNK_HEAD.size + letters
     beyond = length > len(data) - start - HEAD.size
-    if opcode != CHUNK or beyond != cut or letters > 16 or at + 8 > len(data):
+    if opcode != op.CHUNK or beyond != cut or letters > 16 or at + 8 > len(data):
         raise FormatError(f"byte {start}: opcode {opcode} with {length} bytes is not a whole chunk")
     packed = _U64.unpack_from(data, at)[0]
     if at + 8 + packed > start + HEAD.size + length:
@@ -124,7 +125,7 @@ def index_of(data: memoryview, at: int) -> Array:
         return np.empty((0, 2), np.int64)
     ensure_local(data, at, at + _INDEX_HEAD.size)
     opcode, length, _, size = _INDEX_HEAD.unpack_from(data, at)
-    if opcode != MESSAGE_INDEX or size > length or at + _INDEX_HEAD.size + size > len(data):
+    if opcode != op.MESSAGE_INDEX or size > length or at + _INDEX_HEAD.size + size > len(data):
         return np.empty((0, 2), np.int64)
     ensure_local(data, at, at + _INDEX_HEAD.size + size)
     return np.frombuffer(data, "<i8", size // 16 * 2, at + _INDEX_HEAD.size).reshape(-1, 2)
@@ -166,7 +167,7 @@ def indexed(
         return None
     heads = heads_at(content, starts)
     channels = np.repeat([channel for channel, _ in listed], [len(offsets) for _, offsets in listed])
-    if (heads["opcode"] != MESSAGE).any() or (heads["channel"] != channels).any():
+    if (heads["opcode"] != op.MESSAGE).any() or (heads["channel"] != channels).any():
         return None
     if (starts[1:] <= starts[:-1]).any():
         order = np.argsort(starts, kind="stable")
@@ -190,7 +191,7 @@ def _tiled(content: Array, places: Array, starts: Array, sizes: Array) -> bool:
     view = content.data
     try:
         between = [iter_records(view, lows[i].item(), highs[i].item()) for i in np.flatnonzero(lows < highs)]
-        return all(opcode != MESSAGE for records in between for opcode, _, _ in records)
+        return all(opcode != op.MESSAGE for records in between for opcode, _, _ in records)
     except FormatError:
         return False
 
@@ -199,7 +200,7 @@ def _scan_messages(content: Array, chunk: Chunk, diagnostics: Diagnostics) -> Me
     starts = []
     try:
         for opcode, body, length in iter_records(content.data, 0, len(content)):
-            if opcode == MESSAGE and length >= MESSAGE_HEAD.itemsize - HEAD.size:
+            if opcode == op.MESSAGE and length >= MESSAGE_HEAD.itemsize - HEAD.size:
                 starts.append(body - HEAD.size)
     except FormatError as problem:
         diagnostics.add_loss(chunk.start, chunk.length, None, None, f"inside the chunk, {problem}")
@@ -229,12 +230,12 @@ def following(data: memoryview, at: int, end: int) -> tuple[Array, int]:
         return np.empty(0, np.int64), at
     opcode, length = HEAD.unpack_from(data, at)
     step = HEAD.size + length
-    if opcode != MESSAGE or not _SHORTEST <= step <= end - at:
+    if opcode != op.MESSAGE or not _SHORTEST <= step <= end - at:
         return np.empty(0, np.int64), at
     # Consecutive messages often have equal length: the guess is cheap, and saves the loop where it holds.
     most = min(_BLOCK, (end - at) // step, max(1, _BLOCK_BYTES // step))
     heads = np.ndarray((most,), _HEAD, data, at, (step,))
-    equal = (heads["opcode"] == MESSAGE) & (heads["size"] == length)
+    equal = (heads["opcode"] == op.MESSAGE) & (heads["size"] == length)
     count = most if equal.all() else int(equal.argmin())
     if count >= _FEW:
         return at + step * np.arange(count), at + step * count
@@ -248,7 +249,7 @@ def _one_after_another(data: memoryview, at: int, end: int) -> tuple[Array, int]
         if at > last or at > stop:
             break
         opcode, length = unpack(data, at)
-        if opcode != MESSAGE:
+        if opcode != op.MESSAGE:
             break
         starts.append(at)
         at += HEAD.size + length

@@ -9,22 +9,8 @@ import numpy as np
 from isal.isal_zlib import crc32
 
 from ..records import Array
-from .records import (
-    ATTACHMENT,
-    ATTACHMENT_INDEX,
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    DATA_END,
-    HEAD,
-    HEADER,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    METADATA_INDEX,
-    SCHEMA,
-    STATISTICS,
-)
+from . import opcodes as op
+from .records import HEAD
 
 _MESSAGE = np.dtype(
     [
@@ -74,13 +60,13 @@ def record(opcode: int, *parts: bytes) -> bytes:
 
 def header(profile: str, library: str) -> bytes:
     """The file's first record."""
-    return record(HEADER, string(profile), string(library))
+    return record(op.HEADER, string(profile), string(library))
 
 
 def schema(number: int, name: str, encoding: str, definition: bytes) -> bytes:
     """A message definition."""
     return record(
-        SCHEMA,
+        op.SCHEMA,
         struct.pack("<H", number),
         string(name),
         string(encoding),
@@ -91,17 +77,17 @@ def schema(number: int, name: str, encoding: str, definition: bytes) -> bytes:
 
 def channel(number: int, schema_id: int, topic: str, encoding: str, metadata: Mapping[str, str]) -> bytes:
     """A topic."""
-    return record(CHANNEL, struct.pack("<HH", number, schema_id), string(topic), string(encoding), mapping(metadata))
+    return record(op.CHANNEL, struct.pack("<HH", number, schema_id), string(topic), string(encoding), mapping(metadata))
 
 
 def metadata(name: str, pairs: Mapping[str, str]) -> bytes:
     """A named map of strings."""
-    return record(METADATA, string(name), mapping(pairs))
+    return record(op.METADATA, string(name), mapping(pairs))
 
 
 def metadata_index(offset: int, length: int, name: str) -> bytes:
     """Where a metadata record is."""
-    return record(METADATA_INDEX, struct.pack("<QQ", offset, length), string(name))
+    return record(op.METADATA_INDEX, struct.pack("<QQ", offset, length), string(name))
 
 
 def attachment(fields: Mapping[str, Any]) -> bytes:
@@ -109,26 +95,26 @@ def attachment(fields: Mapping[str, Any]) -> bytes:
     data = bytes(fields["data"])
     body = struct.pack("<QQ", fields["log_time"], fields["create_time"]) + string(fields["name"])
     body += string(fields["media_type"]) + struct.pack("<Q", len(data)) + data
-    return record(ATTACHMENT, body, struct.pack("<I", crc32(body)))
+    return record(op.ATTACHMENT, body, struct.pack("<I", crc32(body)))
 
 
 def attachment_index(offset: int, length: int, fields: Mapping[str, Any]) -> bytes:
     """The index record of an attachment with these `fields`."""
     numbers = struct.pack("<QQQQQ", offset, length, fields["log_time"], fields["create_time"], len(fields["data"]))
-    return record(ATTACHMENT_INDEX, numbers, string(fields["name"]), string(fields["media_type"]))
+    return record(op.ATTACHMENT_INDEX, numbers, string(fields["name"]), string(fields["media_type"]))
 
 
 def chunk(start_ns: int, end_ns: int, size: int, crc: int, compression: str, stored: bytes) -> tuple[bytes, int]:
     """The head of a chunk record, to be followed by `stored`, and the length of the whole record."""
     head = struct.pack("<QQQI", start_ns, end_ns, size, crc) + string(compression) + struct.pack("<Q", len(stored))
-    return HEAD.pack(CHUNK, len(head) + len(stored)) + head, HEAD.size + len(head) + len(stored)
+    return HEAD.pack(op.CHUNK, len(head) + len(stored)) + head, HEAD.size + len(head) + len(stored)
 
 
 def message_index(number: int, log_ns: Array, offset: Array) -> bytes:
     """Log times of one channel's messages and their offsets in the chunk."""
     pairs = np.empty((len(log_ns), 2), "<u8")
     pairs[:, 0], pairs[:, 1] = log_ns, offset
-    return record(MESSAGE_INDEX, struct.pack("<HI", number, pairs.nbytes), pairs.tobytes())
+    return record(op.MESSAGE_INDEX, struct.pack("<HI", number, pairs.nbytes), pairs.tobytes())
 
 
 def chunk_index(
@@ -142,7 +128,7 @@ def chunk_index(
     """A chunk's times, place (offset, length), message index offsets by channel, and sizes (stored, unpacked)."""
     offsets = b"".join(struct.pack("<HQ", number, indexes[number]) for number in sorted(indexes))
     return record(
-        CHUNK_INDEX,
+        op.CHUNK_INDEX,
         struct.pack("<QQQQI", *span, *place, len(offsets)),
         offsets,
         struct.pack("<Q", indexes_length),
@@ -155,12 +141,12 @@ def statistics(counts: Mapping[int, int], numbers: tuple[int, int, int, int, int
     """Messages per channel; numbers of (schemas, channels, attachments, metadata, chunks); first and last log time."""
     pairs = b"".join(struct.pack("<HQ", number, counts[number]) for number in sorted(counts))
     head = struct.pack("<QHIIIIQQI", sum(counts.values()), *numbers, *span, len(pairs))
-    return record(STATISTICS, head, pairs)
+    return record(op.STATISTICS, head, pairs)
 
 
 def data_end(crc: int) -> bytes:
     """The end of the data section; crc 0 means: not computed."""
-    return record(DATA_END, struct.pack("<I", crc))
+    return record(op.DATA_END, struct.pack("<I", crc))
 
 
 def messages(table: MessageTable) -> tuple[Array, Array]:
@@ -168,7 +154,7 @@ def messages(table: MessageTable) -> tuple[Array, Array]:
     size = table.length + MESSAGE_HEAD
     start = np.cumsum(size) - size
     head = np.zeros(len(size), _MESSAGE)
-    head["opcode"], head["size"] = MESSAGE, size - 9
+    head["opcode"], head["size"] = op.MESSAGE, size - 9
     head["channel"], head["sequence"] = table.channel, table.sequence
     head["log_ns"], head["publish_ns"] = table.log_ns, table.publish_ns
     out = np.empty(int(size.sum()), np.uint8)

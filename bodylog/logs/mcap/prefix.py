@@ -8,25 +8,9 @@ from typing import Any, NamedTuple
 
 from ...errors import FormatError
 from ..topic_names import PREFIX
+from . import opcodes as op
 from .record_file import Head, RecordFile
-from .records import (
-    ATTACHMENT,
-    ATTACHMENT_INDEX,
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    DATA_END,
-    HEAD,
-    HEADER,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    METADATA_INDEX,
-    SCHEMA,
-    STATISTICS,
-    Record,
-    parse,
-)
+from .records import HEAD, Record, parse
 from .writer import Contents
 
 NAME = "bodylog"
@@ -81,7 +65,7 @@ def _reusable_prefix(file: RecordFile, root: str | None) -> Prefix:
     file.prefetch(_heads(summary))
     parts = _parts(file.heads(start), summary)
     ours = _ours(summary, root)
-    foreign = {r.fields["offset"] for r, _ in summary.get(METADATA_INDEX, []) if r.fields["name"] != NAME}
+    foreign = {r.fields["offset"] for r, _ in summary.get(op.METADATA_INDEX, []) if r.fields["name"] != NAME}
     cut = _cut(parts, ours, foreign)
     contents = _contents(summary, [p for p in parts if p.start < cut], ours)
     return Prefix(cut, _crc(file, cut, parts[-1].start), contents)
@@ -96,19 +80,19 @@ def no_utf8(record: Record) -> bool:
 def _named(file: RecordFile, end: int, summary: list[Record]) -> Iterator[Record]:
     """The records that hold names: header, repeated records of the summary, and metadata other than bodylog's."""
     first = next(file.heads(end), None)
-    if first is not None and first.opcode == HEADER:
+    if first is not None and first.opcode == op.HEADER:
         yield file.fields(first)
     yield from summary
     for record in summary:
         fields = record.fields
-        if record.opcode == METADATA_INDEX and fields["name"] != NAME:
+        if record.opcode == op.METADATA_INDEX and fields["name"] != NAME:
             raw = memoryview(file.read(fields["offset"], fields["length"]))
-            yield parse(METADATA, raw[HEAD.size :], fields["offset"])
+            yield parse(op.METADATA, raw[HEAD.size :], fields["offset"])
 
 
 def _heads(summary: _Summary) -> Iterator[tuple[int, int]]:
     """Where (byte, size) the summary locates record heads between long contents."""
-    for record, _ in summary.get(CHUNK_INDEX, []):
+    for record, _ in summary.get(op.CHUNK_INDEX, []):
         fields = record.fields
         yield fields["chunk_start_offset"], 1
         yield fields["chunk_start_offset"] + fields["chunk_length"], fields["message_index_length"] + 1
@@ -116,32 +100,32 @@ def _heads(summary: _Summary) -> Iterator[tuple[int, int]]:
 
 def _parts(heads: Iterable[Head], summary: _Summary) -> list[_Part]:
     """The data section's records, each as the summary describes it; FormatError where the two disagree."""
-    chunks = [r.fields for r, _ in summary.get(CHUNK_INDEX, [])]
+    chunks = [r.fields for r, _ in summary.get(op.CHUNK_INDEX, [])]
     indexed = {fields["chunk_start_offset"]: _set(tuple(fields["message_index_offsets"])) for fields in chunks}
     parts = [_part(head, indexed) for head in heads]
-    _agree([p.start for p in parts if p.opcode == CHUNK], list(indexed), "chunks")
-    found = [(c, p.start) for p in parts if p.opcode == MESSAGE_INDEX for c in p.channels or ()]
+    _agree([p.start for p in parts if p.opcode == op.CHUNK], list(indexed), "chunks")
+    found = [(c, p.start) for p in parts if p.opcode == op.MESSAGE_INDEX for c in p.channels or ()]
     _agree(found, [pair for fields in chunks for pair in fields["message_index_offsets"].items()], "message indexes")
-    for opcode, index in ((ATTACHMENT, ATTACHMENT_INDEX), (METADATA, METADATA_INDEX)):
+    for opcode, index in ((op.ATTACHMENT, op.ATTACHMENT_INDEX), (op.METADATA, op.METADATA_INDEX)):
         listed = [r.fields["offset"] for r, _ in summary.get(index, [])]
         _agree([p.start for p in parts if p.opcode == opcode], listed, "attachments or metadata")
-    if not parts or parts[-1].opcode != DATA_END:
+    if not parts or parts[-1].opcode != op.DATA_END:
         raise FormatError("the summary does not follow the end of the data")
     return parts
 
 
 def _part(head: Head, indexed: Mapping[int, frozenset[int]]) -> _Part:
-    if head.opcode == MESSAGE:
+    if head.opcode == op.MESSAGE:
         raise FormatError("there are messages outside chunks")
-    if head.opcode == CHUNK:
+    if head.opcode == op.CHUNK:
         channels = indexed.get(head.start)
         if not channels:
             raise FormatError(f"the chunk at byte {head.start} has no message index")
-        return _Part(CHUNK, head.start, channels)
-    if head.opcode not in (MESSAGE_INDEX, CHANNEL):
+        return _Part(op.CHUNK, head.start, channels)
+    if head.opcode not in (op.MESSAGE_INDEX, op.CHANNEL):
         return _Part(head.opcode, head.start)
     channel = _set((int.from_bytes(head.first[:2], "little"),))
-    size = int.from_bytes(head.first[2:], "little") if head.opcode == MESSAGE_INDEX else 0
+    size = int.from_bytes(head.first[2:], "little") if head.opcode == op.MESSAGE_INDEX else 0
     if size > max(head.size - _INDEX_HEAD, 0):
         raise FormatError(f"the message index at byte {head.start} is longer than its record")
     return _Part(head.opcode, head.start, channel, size // _INDEX_ENTRY)
@@ -159,7 +143,7 @@ def _agree(found: list[Any], listed: list[Any], what: str) -> None:
 
 
 def _ours(summary: _Summary, root: str | None) -> frozenset[int]:
-    channels = [r.fields for r, _ in summary.get(CHANNEL, [])]
+    channels = [r.fields for r, _ in summary.get(op.CHANNEL, [])]
     return frozenset(int(c["id"]) for c in channels if root is not None and str(c["topic"]).startswith(root))
 
 
@@ -167,9 +151,9 @@ def _cut(parts: list[_Part], ours: frozenset[int], foreign: set[int]) -> int:
     """Where an earlier run's tail begins, at the schemas before its first channel; else at DataEnd."""
     first = next((i for i, p in enumerate(parts) if (p.channels or frozenset()) & ours), len(parts) - 1)
     tail = parts[first:-1]
-    if any(p.opcode == ATTACHMENT or p.start in foreign or not (p.channels or ours) <= ours for p in tail):
+    if any(p.opcode == op.ATTACHMENT or p.start in foreign or not (p.channels or ours) <= ours for p in tail):
         raise FormatError(f"{PREFIX} messages lie between others")
-    while tail and first and parts[first - 1].opcode == SCHEMA:
+    while tail and first and parts[first - 1].opcode == op.SCHEMA:
         first -= 1
     return parts[first].start
 
@@ -184,19 +168,19 @@ def _crc(file: RecordFile, cut: int, end: int) -> int | None:
 
 def _contents(summary: _Summary, kept: list[_Part], ours: frozenset[int]) -> Contents:
     """The summary of the kept parts; FormatError if it lacks something they need."""
-    channels = {r.fields["id"]: (r, raw) for r, raw in summary.get(CHANNEL, []) if r.fields["id"] not in ours}
+    channels = {r.fields["id"]: (r, raw) for r, raw in summary.get(op.CHANNEL, []) if r.fields["id"] not in ours}
     used = {r.fields["schema_id"] for r, _ in channels.values()}
-    dropped = {r.fields["schema_id"] for r, _ in summary.get(CHANNEL, []) if r.fields["id"] in ours} - used
-    schemas = {r.fields["id"]: raw for r, raw in summary.get(SCHEMA, []) if r.fields["id"] not in dropped}
+    dropped = {r.fields["schema_id"] for r, _ in summary.get(op.CHANNEL, []) if r.fields["id"] in ours} - used
+    schemas = {r.fields["id"]: raw for r, raw in summary.get(op.SCHEMA, []) if r.fields["id"] not in dropped}
     if not used <= {0, *schemas}:
         raise FormatError("the summary lacks schemas of its channels")
     counts = dict.fromkeys(channels, 0)
     contents = Contents(schemas, {number: raw for number, (_, raw) in channels.items()}, counts=counts)
     places = {p.start for p in kept}
     for opcode, place, into in (
-        (CHUNK_INDEX, "chunk_start_offset", contents.chunks),
-        (ATTACHMENT_INDEX, "offset", contents.attachments),
-        (METADATA_INDEX, "offset", contents.metadata),
+        (op.CHUNK_INDEX, "chunk_start_offset", contents.chunks),
+        (op.ATTACHMENT_INDEX, "offset", contents.attachments),
+        (op.METADATA_INDEX, "offset", contents.metadata),
     ):
         into += [raw for r, raw in summary.get(opcode, []) if r.fields[place] in places]
     _count(contents, summary, kept, places)
@@ -206,15 +190,15 @@ def _contents(summary: _Summary, kept: list[_Part], ours: frozenset[int]) -> Con
 def _count(contents: Contents, summary: _Summary, kept: list[_Part], places: set[int]) -> None:
     """Messages per channel by the message indexes, and the time span of the kept chunks; the statistics must agree."""
     for part in kept:
-        if part.opcode == MESSAGE_INDEX:
+        if part.opcode == op.MESSAGE_INDEX:
             number = next(iter(part.channels or ()))
             if number not in contents.counts:
                 raise FormatError(f"the summary lacks channel {number}")
             contents.counts[number] += part.messages
-    for record, _ in summary.get(STATISTICS, []):
+    for record, _ in summary.get(op.STATISTICS, []):
         stated = record.fields["channel_message_counts"]
         if any(stated.get(number, 0) != count for number, count in contents.counts.items()):
             raise FormatError("the statistics count other messages than the message indexes")
-    for record, _ in summary.get(CHUNK_INDEX, []):
+    for record, _ in summary.get(op.CHUNK_INDEX, []):
         if record.fields["chunk_start_offset"] in places:
             contents.seen(record.fields["message_start_time"], record.fields["message_end_time"])

@@ -8,7 +8,8 @@ from typing import NamedTuple
 from isal.isal_zlib import crc32
 
 from ...errors import FormatError
-from .records import FOOTER, HEAD, MAGIC, Record, iter_records, parse
+from . import opcodes as op
+from .records import HEAD, MAGIC, Record, iter_records, parse
 
 _WINDOW = 4096
 _FIRST = 6
@@ -88,9 +89,9 @@ class RecordFile:
         """Where the summary starts, and its records, parsed and raw; FormatError when it is damaged."""
         foot = self.size - _FOOTER
         tail = self.read(max(foot, 0), min(_FOOTER, self.size))
-        if foot < len(MAGIC) or tail[-len(MAGIC) :] != MAGIC or tail[0] != FOOTER:
+        if foot < len(MAGIC) or tail[-len(MAGIC) :] != MAGIC or tail[0] != op.FOOTER:
             raise FormatError("the file does not end in a footer")
-        fields = parse(FOOTER, memoryview(tail)[HEAD.size : -len(MAGIC)]).fields
+        fields = parse(op.FOOTER, memoryview(tail)[HEAD.size : -len(MAGIC)]).fields
         start = int(fields["summary_start"])
         if not len(MAGIC) <= start < foot:
             raise FormatError("there is no summary")

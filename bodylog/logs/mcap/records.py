@@ -6,46 +6,44 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...errors import FormatError
+from . import opcodes as op
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 """A record's opcode and the length of its body."""
 
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
-ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
-
 FIELDS: dict[int, tuple[str, str]] = {
-    HEADER: ("Header", "profile:str library:str"),
-    FOOTER: ("Footer", "summary_start:u64 summary_offset_start:u64 summary_crc:u32"),
-    SCHEMA: ("Schema", "id:u16 name:str encoding:str data:bytes"),
-    CHANNEL: ("Channel", "id:u16 schema_id:u16 topic:str message_encoding:str metadata:texts"),
-    MESSAGE: ("Message", "channel_id:u16 sequence:u32 log_time:u64 publish_time:u64 data:rest"),
-    CHUNK: (
+    op.HEADER: ("Header", "profile:str library:str"),
+    op.FOOTER: ("Footer", "summary_start:u64 summary_offset_start:u64 summary_crc:u32"),
+    op.SCHEMA: ("Schema", "id:u16 name:str encoding:str data:bytes"),
+    op.CHANNEL: ("Channel", "id:u16 schema_id:u16 topic:str message_encoding:str metadata:texts"),
+    op.MESSAGE: ("Message", "channel_id:u16 sequence:u32 log_time:u64 publish_time:u64 data:rest"),
+    op.CHUNK: (
         "Chunk",
         "message_start_time:u64 message_end_time:u64 uncompressed_size:u64 uncompressed_crc:u32 compression:str "
         "records:long",
     ),
-    MESSAGE_INDEX: ("MessageIndex", "channel_id:u16 records:bytes"),
-    CHUNK_INDEX: (
+    op.MESSAGE_INDEX: ("MessageIndex", "channel_id:u16 records:bytes"),
+    op.CHUNK_INDEX: (
         "ChunkIndex",
         "message_start_time:u64 message_end_time:u64 chunk_start_offset:u64 chunk_length:u64 "
         "message_index_offsets:offsets message_index_length:u64 compression:str compressed_size:u64 "
         "uncompressed_size:u64",
     ),
-    ATTACHMENT: ("Attachment", "log_time:u64 create_time:u64 name:str media_type:str data:long crc:u32"),
-    ATTACHMENT_INDEX: (
+    op.ATTACHMENT: ("Attachment", "log_time:u64 create_time:u64 name:str media_type:str data:long crc:u32"),
+    op.ATTACHMENT_INDEX: (
         "AttachmentIndex",
         "offset:u64 length:u64 log_time:u64 create_time:u64 data_size:u64 name:str media_type:str",
     ),
-    STATISTICS: (
+    op.STATISTICS: (
         "Statistics",
         "message_count:u64 schema_count:u16 channel_count:u32 attachment_count:u32 metadata_count:u32 "
         "chunk_count:u32 message_start_time:u64 message_end_time:u64 channel_message_counts:offsets",
     ),
-    METADATA: ("Metadata", "name:str metadata:texts"),
-    METADATA_INDEX: ("MetadataIndex", "offset:u64 length:u64 name:str"),
-    SUMMARY_OFFSET: ("SummaryOffset", "group_opcode:u8 group_start:u64 group_length:u64"),
-    DATA_END: ("DataEnd", "data_section_crc:u32"),
+    op.METADATA: ("Metadata", "name:str metadata:texts"),
+    op.METADATA_INDEX: ("MetadataIndex", "offset:u64 length:u64 name:str"),
+    op.SUMMARY_OFFSET: ("SummaryOffset", "group_opcode:u8 group_start:u64 group_length:u64"),
+    op.DATA_END: ("DataEnd", "data_section_crc:u32"),
 }
 """Opcode -> name of the record and its fields in order, each with its kind."""
 

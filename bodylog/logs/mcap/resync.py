@@ -8,12 +8,13 @@ from ...errors import FormatError
 from ..records import Array
 from ..storage.compression import NAMES
 from ..storage.mmapped import drop_pages, is_zero
+from . import opcodes as op
 from .chunks import CHUNK_HEAD, MESSAGE_HEAD, chunk_head, following, heads_of
-from .records import CHANNEL, CHUNK, CHUNK_INDEX, DATA_END, FIELDS, FOOTER, HEAD, MESSAGE, MESSAGE_INDEX, SCHEMA, parse
+from .records import FIELDS, HEAD, parse
 
 _WINDOW = 1 << 20
 _AHEAD = 64 << 20
-_IN_CHUNKED = (CHUNK, MESSAGE_INDEX, CHUNK_INDEX)
+_IN_CHUNKED = (op.CHUNK, op.MESSAGE_INDEX, op.CHUNK_INDEX)
 _CHUNK_FIXED = 40
 _LONGEST_END = 64
 _LARGEST = 1 << 40
@@ -39,7 +40,7 @@ def sound_records(
     at, chunked, singly = start, None, start
     held: Found | None = None
     while at < end:
-        if at >= singly and data[at] == MESSAGE:
+        if at >= singly and data[at] == op.MESSAGE:
             starts, singly = following(data, at, end)
             if len(starts) > _FEW:
                 if held:
@@ -48,18 +49,18 @@ def sound_records(
                 # The last one's length may be wrong; the next record shows it.
                 at = int(starts[-1]) if many(starts[:-1], int(starts[-1])) else at
         opcode, length = HEAD.unpack_from(data, at) if end - at >= HEAD.size else (0, 0)
-        if (opcode == MESSAGE and _SHORTEST <= length <= end - at - HEAD.size) or _plausible(data, at, end):
+        if (opcode == op.MESSAGE and _SHORTEST <= length <= end - at - HEAD.size) or _plausible(data, at, end):
             if held:
                 yield held
             held = (opcode, at, length)
             at += HEAD.size + length
-            chunked = chunked or opcode == CHUNK or None
-            if opcode == FOOTER:
+            chunked = chunked or opcode == op.CHUNK or None
+            if opcode == op.FOOTER:
                 break
             continue
         if chunked is None:
             chunked = _chunked(data, at, min(end, at + _AHEAD))
-        low = at if held is None or held[0] == CHUNK else held[1] + 1
+        low = at if held is None or held[0] == op.CHUNK else held[1] + 1
         found = resync(data, low, end, *_search_targets(chunked, channels))
         begin = at
         if held and found is not None and found < at:  # the length of the record before was wrong
@@ -81,7 +82,7 @@ def _chunked(data: memoryview, start: int, end: int) -> bool:
         if is_zero(data, low, min(end, low + _WINDOW)):
             continue
         heads = heads_of(data[low : min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)])
-        likely = (heads["opcode"] == CHUNK) & (heads["size"] >= _CHUNK_FIXED) & (heads["size"] < _LARGEST)
+        likely = (heads["opcode"] == op.CHUNK) & (heads["size"] >= _CHUNK_FIXED) & (heads["size"] < _LARGEST)
         if any(_chunk_like(data, low + int(at)) for at in np.flatnonzero(likely)):
             return True
     return resync(data, start, end, _IN_CHUNKED, ()) is not None
@@ -98,7 +99,7 @@ def _chunk_like(data: memoryview, at: int) -> bool:
         end = name + len(known)
         if data[name:end] == known.encode():
             packed = int.from_bytes(data[end : end + 8], "little")
-            signs = [opcode == CHUNK, known != "", length == _CHUNK_FIXED + len(known) + packed]
+            signs = [opcode == op.CHUNK, known != "", length == _CHUNK_FIXED + len(known) + packed]
             signs += [known == "" and length == _CHUNK_FIXED + size, known == "" and 0 < packed == size]
             if sum(signs) + (known != "" and letters == len(known)) >= 2:
                 return True
@@ -107,7 +108,7 @@ def _chunk_like(data: memoryview, at: int) -> bool:
 
 def _search_targets(chunked: bool, channels: Collection[int]) -> tuple[Collection[int], Collection[int]]:
     """Opcodes and channels to search for after damage, outside chunks: content of a damaged chunk is unchecked."""
-    return ((*_IN_CHUNKED, DATA_END), ()) if chunked else ((SCHEMA, CHANNEL, DATA_END), channels)
+    return ((*_IN_CHUNKED, op.DATA_END), ()) if chunked else ((op.SCHEMA, op.CHANNEL, op.DATA_END), channels)
 
 
 def _plausible(data: memoryview, at: int, end: int) -> bool:
@@ -116,12 +117,12 @@ def _plausible(data: memoryview, at: int, end: int) -> bool:
     opcode, length = HEAD.unpack_from(data, at)
     if opcode == 0 or length > end - at - HEAD.size:
         return False
-    if opcode == MESSAGE:
+    if opcode == op.MESSAGE:
         return bool(length >= _SHORTEST)
     try:
-        if opcode in (DATA_END, FOOTER):
+        if opcode in (op.DATA_END, op.FOOTER):
             return bool(length <= _LONGEST_END)
-        if opcode == CHUNK:
+        if opcode == op.CHUNK:
             chunk_head(data, at)
         elif opcode in FIELDS:
             parse(opcode, data[at + HEAD.size : at + HEAD.size + length])
@@ -148,9 +149,9 @@ def resync(data: memoryview, start: int, end: int, opcodes: Collection[int], cha
 def _candidates(window: memoryview, left: int, opcodes: list[int], known: Array) -> list[int]:
     heads = heads_of(window)
     opcode, size = heads["opcode"], heads["size"]
-    likely = np.isin(opcode, opcodes) | (opcode == MESSAGE) & (size >= _SHORTEST)
+    likely = np.isin(opcode, opcodes) | (opcode == op.MESSAGE) & (size >= _SHORTEST)
     where = np.flatnonzero(likely & (size >= 0) & (size < left))
-    return [int(at) for at in where[(opcode[where] != MESSAGE) | known[heads["channel"][where]]]]
+    return [int(at) for at in where[(opcode[where] != op.MESSAGE) | known[heads["channel"][where]]]]
 
 
 def _is_sound(data: memoryview, at: int, end: int) -> bool:
@@ -159,7 +160,7 @@ def _is_sound(data: memoryview, at: int, end: int) -> bool:
         return False
     opcode, length = HEAD.unpack_from(data, at)
     after = at + HEAD.size + length
-    if opcode == CHUNK:
+    if opcode == op.CHUNK:
         *_, compression, packed = chunk_head(data, at)
         return compression in NAMES and length == _CHUNK_FIXED + len(compression) + len(packed)
     return after == end or (_plausible(data, after, end) and data[after] in FIELDS)

@@ -10,8 +10,9 @@ from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import STORED, Buffer
 from ..storage.mmapped import drop_pages, ensure_local
+from . import opcodes as op
 from .chunks import Chunk, LooseRecords, chunk_head, heads_at, index_of, load, messages, unpack
-from .records import CHANNEL, CHUNK, DATA_END, FOOTER, HEAD, MAGIC, MESSAGE, MESSAGE_INDEX, SCHEMA, iter_records, parse
+from .records import HEAD, MAGIC, iter_records, parse
 from .resync import sound_records
 from .summary import Summary, summary_of, use_statistics
 from .survey import Survey
@@ -37,7 +38,7 @@ def survey_of(data: memoryview, diagnostics: Diagnostics) -> Survey:
     if survey is None:
         survey = Survey()
         last = _scan(data, len(MAGIC), len(data), survey, diagnostics)
-        if last == DATA_END or (last == FOOTER and data[-len(MAGIC) :] != MAGIC):
+        if last == op.DATA_END or (last == op.FOOTER and data[-len(MAGIC) :] != MAGIC):
             diagnostics.warn("the file ends inside its summary or footer; all data come before")
         elif last is None:
             diagnostics.add_loss(
@@ -52,7 +53,7 @@ def survey_of(data: memoryview, diagnostics: Diagnostics) -> Survey:
 def _summarised(data: memoryview, summary: Summary, diagnostics: Diagnostics) -> Survey:
     survey, at = Survey(), len(MAGIC)
     for record in summary.records:
-        if record.opcode in (SCHEMA, CHANNEL):
+        if record.opcode in (op.SCHEMA, op.CHANNEL):
             survey.declare(record)
     for chunk, end in summary.chunks:
         _scan(data, at, chunk.start, survey, diagnostics)
@@ -95,21 +96,21 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, diagnostics: D
         return True
 
     for opcode, at, length in sound_records(data, start, end, survey.channels.keys(), lost, many):
-        ended = opcode if opcode in (FOOTER, DATA_END) else ended
-        if opcode == MESSAGE and unsummarised and (at == len(MAGIC) or not run.credible(at, length)):
+        ended = opcode if opcode in (op.FOOTER, op.DATA_END) else ended
+        if opcode == op.MESSAGE and unsummarised and (at == len(MAGIC) or not run.credible(at, length)):
             lost(at, HEAD.size + length)
-        elif opcode == MESSAGE:
+        elif opcode == op.MESSAGE:
             run.add(at, at + HEAD.size + length)
-        elif opcode in (SCHEMA, CHANNEL):
+        elif opcode in (op.SCHEMA, op.CHANNEL):
             survey.declare(parse(opcode, data[at + HEAD.size : at + HEAD.size + length], at))
-        elif opcode == CHUNK:
+        elif opcode == op.CHUNK:
             run.close(at + HEAD.size + length)
             first, last, _, _, compression, _ = chunk_head(data, at)
             run.follow(Chunk(at, HEAD.size + length, first, last, stored=compression in STORED))
-        elif opcode == MESSAGE_INDEX:
+        elif opcode == op.MESSAGE_INDEX:
             run.index(at)
     run.close(end)
-    return ended or (CHUNK if run.is_cut else None)
+    return ended or (op.CHUNK if run.is_cut else None)
 
 
 class _Run:
@@ -214,7 +215,7 @@ def _learn(data: memoryview, survey: Survey, diagnostics: Diagnostics) -> None:
 def _declare(content: memoryview, survey: Survey) -> None:
     try:
         for opcode, at, length in iter_records(content, 0, len(content)):
-            if opcode in (SCHEMA, CHANNEL):
+            if opcode in (op.SCHEMA, op.CHANNEL):
                 survey.declare(parse(opcode, content[at : at + length], at))
     except FormatError:
         return  # messages() reads the same records and reports where they end
@@ -233,7 +234,7 @@ def _cut(data: memoryview, at: int) -> Chunk | None:
 
 def _seconds(data: memoryview, at: int) -> float | None:
     """Duration of the truncated chunk at `at` by its header, if that is complete."""
-    if len(data) - at < HEAD.size + 16 or data[at] != CHUNK:
+    if len(data) - at < HEAD.size + 16 or data[at] != op.CHUNK:
         return None
     first, last = _TIMES.unpack_from(data, at + HEAD.size)
     return (last - first) / 1e9 if 0 <= last - first < _LONGEST_NS else None

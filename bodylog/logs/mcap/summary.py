@@ -10,8 +10,9 @@ from ...errors import FormatError
 from ..diagnostics import Diagnostics
 from ..storage.compression import STORED
 from ..storage.mmapped import advise_sequential, ensure_local
+from . import opcodes as op
 from .chunks import Chunk
-from .records import CHUNK, CHUNK_INDEX, FIELDS, FOOTER, HEAD, MAGIC, STATISTICS, Record, iter_records, parse
+from .records import FIELDS, HEAD, MAGIC, Record, iter_records, parse
 from .survey import Survey
 
 _FOOTER = HEAD.size + 20
@@ -34,9 +35,9 @@ class Summary(NamedTuple):
 def footer_of(data: memoryview) -> Record | None:
     """The Footer that ends the file, or None."""
     start = len(data) - len(MAGIC) - _FOOTER
-    if start < len(MAGIC) or data[-len(MAGIC) :] != MAGIC or HEAD.unpack_from(data, start) != (FOOTER, 20):
+    if start < len(MAGIC) or data[-len(MAGIC) :] != MAGIC or HEAD.unpack_from(data, start) != (op.FOOTER, 20):
         return None
-    return parse(FOOTER, data[start + HEAD.size : start + _FOOTER], start)
+    return parse(op.FOOTER, data[start + HEAD.size : start + _FOOTER], start)
 
 
 def section(data: memoryview) -> tuple[int, int] | None:
@@ -74,7 +75,7 @@ def summary_of(data: memoryview) -> Summary | None:
 def _summary(data: memoryview, start: int, end: int) -> Summary:
     records, chunks, indexed = [], [], 0
     for opcode, at, size in iter_records(data, start, end):
-        if opcode == CHUNK_INDEX:
+        if opcode == op.CHUNK_INDEX:
             chunk, after = _chunk(data, at, at + size)
             chunks.append((chunk, chunk.start + chunk.length + after))
             # Computed from their declared length: 15 bytes each and 16 per message.
@@ -93,7 +94,7 @@ def _fit(data: memoryview, summary: Summary) -> None:
         if end == following:
             continue
         ensure_local(data, chunk.start, chunk.start + HEAD.size)
-        if HEAD.unpack_from(data, chunk.start) != (CHUNK, chunk.length - HEAD.size):
+        if HEAD.unpack_from(data, chunk.start) != (op.CHUNK, chunk.length - HEAD.size):
             raise FormatError(f"there is no chunk of {chunk.length} bytes at byte {chunk.start}")
 
 
@@ -118,7 +119,7 @@ def _chunk(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
 
 def use_statistics(summary: Summary, survey: Survey, diagnostics: Diagnostics) -> bool:
     """Take counts and times from Statistics if they agree with indexes and channels; else change nothing."""
-    statistics = next((record.fields for record in summary.records if record.opcode == STATISTICS), None)
+    statistics = next((record.fields for record in summary.records if record.opcode == op.STATISTICS), None)
     if statistics is None:
         return False
     counts = statistics["channel_message_counts"]

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..records import Array
+from . import opcodes as op
 from .chunks import Chunk, LooseRecords
-from .records import SCHEMA, Record
+from .records import Record
 
 
 @dataclass
@@ -22,7 +23,7 @@ class Survey:
 
     def declare(self, record: Record) -> None:
         """Add a Schema or Channel; the first one of an id is kept."""
-        known = self.schemas if record.opcode == SCHEMA else self.channels
+        known = self.schemas if record.opcode == op.SCHEMA else self.channels
         known.setdefault(record.fields["id"], record)
 
     def knows(self, channels: Iterable[int]) -> bool:

@@ -12,19 +12,9 @@ import numpy as np
 from isal.isal_zlib import crc32
 
 from . import encode as mcap
+from . import opcodes as op
 from .encode import MessageTable
-from .records import (
-    ATTACHMENT_INDEX,
-    CHANNEL,
-    CHUNK_INDEX,
-    FOOTER,
-    HEAD,
-    MAGIC,
-    METADATA_INDEX,
-    SCHEMA,
-    STATISTICS,
-    SUMMARY_OFFSET,
-)
+from .records import HEAD, MAGIC
 
 CHUNK_BYTES = 1 << 20
 _LEVEL = 1
@@ -189,21 +179,21 @@ def _part(table: MessageTable, rows: slice) -> MessageTable:
 
 def _summary(contents: Contents, start: int) -> bytes:
     groups = [
-        (SCHEMA, [contents.schemas[number] for number in sorted(contents.schemas)]),
-        (CHANNEL, [contents.channels[number] for number in sorted(contents.channels)]),
-        (STATISTICS, [_statistics(contents)]),
-        (CHUNK_INDEX, contents.chunks),
-        (ATTACHMENT_INDEX, contents.attachments),
-        (METADATA_INDEX, contents.metadata),
+        (op.SCHEMA, [contents.schemas[number] for number in sorted(contents.schemas)]),
+        (op.CHANNEL, [contents.channels[number] for number in sorted(contents.channels)]),
+        (op.STATISTICS, [_statistics(contents)]),
+        (op.CHUNK_INDEX, contents.chunks),
+        (op.ATTACHMENT_INDEX, contents.attachments),
+        (op.METADATA_INDEX, contents.metadata),
     ]
     body, offsets = b"", b""
     for opcode, records in groups:
         group = b"".join(records)
         if group:
             place = struct.pack("<BQQ", opcode, start + len(body), len(group))
-            offsets += mcap.record(SUMMARY_OFFSET, place)
+            offsets += mcap.record(op.SUMMARY_OFFSET, place)
             body += group
-    foot = body + offsets + HEAD.pack(FOOTER, 20) + struct.pack("<QQ", start, start + len(body))
+    foot = body + offsets + HEAD.pack(op.FOOTER, 20) + struct.pack("<QQ", start, start + len(body))
     return foot + struct.pack("<I", crc32(foot)) + MAGIC
 
 
