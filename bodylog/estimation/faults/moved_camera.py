@@ -208,14 +208,13 @@ def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
     parts = []
     for number, (sighting, curve) in enumerate(found):
         place, speed, *_, sound = interpolated(curve, 0.0)
-        _, jac, model = sighting.model.predict(curve.x)
-        noise = curve.noise - np.einsum("bdm,bm->bd", np.square(jac), curve.encoder)
+        noise = np.broadcast_to(curve.noise, place.shape)
         reach = np.broadcast_to(getattr(sighting.model, "reach", np.inf), curve.x.shape)
         track, off = np.full(len(curve.at), number), place - curve.predicted
         for d in range(off.shape[1]):
             columns = (
-                curve.at, track, np.full(len(track), d), curve.x, off[:, d], jac[:, d], noise[:, d], curve.encoder,
-                model[:, d], speed[:, d], reach,
+                curve.at, track, np.full(len(track), d), curve.x, off[:, d], curve.jac[:, d], noise[:, d],
+                curve.encoder, curve.model[:, d], speed[:, d], reach,
             )  # fmt: skip
             parts.append(tuple(column[sound] for column in columns))
     return _Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))

@@ -1,6 +1,7 @@
 """A track as an interpolated curve, beside the positions that means of encoder readings predict."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -29,54 +30,78 @@ ASIDE = 1e-3
 class Curve:
     """Positions (N,2) px at t (N,) s with a median step (s), and the predictions of B means of encoder readings.
 
-    at (B,) s · angles x (B,M) · predicted positions (B,2) · noise (B,2) px² of encoders and images · root (B,2,2):
-    square root of the inverse of noise and model variance · offsets (B,2,P): root times J by offset · blur (B,): share
-    of a position's own noise · encoder (B,M) rad²: variance of the means.
+    images: how many are averaged to a position · noise (2,) px²: stated variance of one · blur (2,) px²: variance of
+    its own noise · at (B,) s · angles x (B,M) · predicted positions (B,2) · jac (B,2,M) · model (B,2) px²: variance of
+    predictions · encoder (B,M) rad²: variance of the means · bends (B,K): shares of the knots of encoder offsets.
     """
 
     t: Array
     places: Array
     step: float
+    images: int
+    noise: Array
+    blur: Array
     at: Array
     x: Array
     predicted: Array
-    noise: Array
-    root: Array
-    offsets: Array
-    blur: Array
+    jac: Array
+    model: Array
     encoder: Array
+    bends: Array
+
+    @cached_property
+    def root(self) -> Array:
+        """Square root (B,2,2) of the inverse covariance of positions less predictions."""
+        cov = np.einsum("bdm,bm,bem->bde", self.jac, self.encoder, self.jac)
+        np.einsum("bdd->bd", cov)[:] += self.model + self.noise / self.images
+        return np.linalg.cholesky(np.linalg.inv(cov)).swapaxes(1, 2)
+
+    @cached_property
+    def offsets(self) -> Array:
+        """Slopes (B,2,KM) of whitened predictions in encoder offsets at the knots."""
+        return np.einsum("bde,bem,bk->bdmk", self.root, self.jac, self.bends).reshape(len(self.at), 2, -1)
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """A regression at R instants t: misfit (R,2) on slopes (R,2,1+P), noise terms of the first slope's sums (R,)."""
+    """A regression at R instants t: misfit (R,2) on slopes (R,2,1+P), noise terms of the first slope's sums (R,).
+
+    frames (R,4): numbers of the images that each misfit is interpolated from · image (R,4,2,2): its derivative with
+    respect to their noise, in standard deviations.
+    """
 
     t: Array
     misfit: Array
     slopes: Array
     cross: Array
     own: Array
+    frames: Array
+    image: Array
 
     def some(self, rows: Array | slice) -> "Rows":
         """Some of the instants."""
-        return Rows(self.t[rows], self.misfit[rows], self.slopes[rows], self.cross[rows], self.own[rows])
+        return Rows(*(getattr(self, name)[rows] for name in Rows.__annotations__))
 
 
 def regression_rows(curve: Curve, late: float) -> Rows:
     """Residuals and slopes of a curve delayed by `late` s."""
-    place, slope, value, speed, sound = interpolated(curve, late)
-    blur = curve.blur
+    place, slope, value, speed, first, sound = interpolated(curve, late)
+    image = curve.root * np.sqrt(curve.blur / curve.images)
+    blur = np.square(image).sum(axis=(1, 2))
     misfit, slope = (np.einsum("bde,be->bd", curve.root, part) for part in (curve.predicted - place, slope))
     slopes = np.concatenate([slope[..., None], curve.offsets], axis=-1)
     cross, own = blur * (value * speed).sum(axis=1), blur * np.square(speed).sum(axis=1)
-    return Rows(curve.at, misfit, slopes, cross, own).some(sound)
+    frames = first[:, None] + np.arange(4)
+    return Rows(curve.at, misfit, slopes, cross, own, frames, value[:, :, None, None] * image[:, None]).some(sound)
 
 
-def interpolated(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array]:
-    """Positions (B,2) px and speeds (B,2) px/s of a curve delayed by `late` s, their weights, and validity."""
-    at, value, speed, sound = _cubic(curve.t, curve.at + late, GAP * curve.step)
-    near = curve.places[at[:, None] + np.arange(4)]
-    return np.einsum("bk,bkd->bd", value, near), np.einsum("bk,bkd->bd", speed, near), value, speed, sound
+def interpolated(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Positions (B,2) px and speeds (B,2) px/s of a curve delayed by `late` s, their weights (B,4), the first of the
+    four images (B,), and validity.
+    """
+    first, value, speed, sound = _cubic(curve.t, curve.at + late, GAP * curve.step)
+    near = curve.places[first[:, None] + np.arange(4)]
+    return np.einsum("bk,bkd->bd", value, near), np.einsum("bk,bkd->bd", speed, near), value, speed, first, sound
 
 
 def _cubic(t: Array, at: Array, gap: float) -> tuple[Array, Array, Array, Array]:
@@ -107,18 +132,11 @@ def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
         return None
     predicted, jac, model = seen.model.predict(x)
     encoder = _scatter(encoders.values) / count
-    spread = np.einsum("bdm,bm,bem->bde", jac, encoder, jac)
-    np.einsum("bdd->bd", spread)[:] += var
-    noise = np.einsum("bdd->bd", spread).copy()
-    np.einsum("bdd->bd", spread)[:] += model
-    inverse = np.linalg.inv(spread)
-    root = np.linalg.cholesky(inverse).swapaxes(1, 2)
     knots = np.linspace(encoders.t[0], encoders.t[-1], 1 + int(np.clip(np.ptp(encoders.t) / BEND, 1, BENDS)))
     bends = np.maximum(0.0, 1.0 - np.abs(at[:, None] - knots) / (knots[1] - knots[0]))
-    offsets = np.einsum("bde,bem,bk->bdmk", root, jac, bends).reshape(len(at), 2, -1)
     # stated variance may include a model's misfit, scatter the arm's jerk: a frame's own noise is below both
-    blur = np.einsum("bdd,d->b", inverse, np.minimum(var, _scatter(places)))
-    curve = Curve(t, places, step, at, x, predicted, noise, root, offsets, blur, encoder)
+    blur = np.minimum(var, _scatter(places))
+    curve = Curve(t, places, step, 1, var, blur, at, x, predicted, jac, model, encoder, bends)
     while curve.step < SLOW and len(curve.t) >= 2 * FEWEST and _blurred(curve):
         curve = _paired(curve)
     return curve if len(curve.t) >= FEWEST else None
@@ -174,4 +192,4 @@ def _paired(curve: Curve) -> Curve:
     even = len(curve.t) // 2 * 2
     near = np.diff(curve.t[:even])[::2] < 1.5 * curve.step
     t, places = (0.5 * (part[:even:2] + part[1:even:2])[near] for part in (curve.t, curve.places))
-    return replace(curve, t=t, places=places, step=2.0 * curve.step, blur=curve.blur / 2.0)
+    return replace(curve, t=t, places=places, step=2.0 * curve.step, images=2 * curve.images)

@@ -50,9 +50,10 @@ def _sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, fl
     if sound.sum() < FEWEST:
         return 0.0, 0.0
     rows = np.flatnonzero(sound & (off <= BLUNDER * np.median(off[sound])))
+    noise = curve.noise + np.einsum("bdm,bm->bd", np.square(curve.jac[rows]), curve.encoder[rows])
     pull, weight = 0.0, 0.0
     for d, prior in enumerate(cov):
-        known = prior[np.ix_(rows, rows)] + np.diag(curve.noise[rows, d])
+        known = prior[np.ix_(rows, rows)] + np.diag(noise[:, d])
         lean = np.linalg.solve(known, speed[rows, d])
         pull, weight = pull + lean @ (place[rows, d] - mean[d]), weight + lean @ speed[rows, d]
     return float(pull), float(weight)

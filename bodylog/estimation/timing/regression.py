@@ -6,7 +6,7 @@ last longer show in a jackknife over parts of the log; the larger standard error
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -45,12 +45,14 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
         if sum(len(part.t) for part in parts) < FEWEST:
             return None
         rows = _together(parts)
+        if rows.misfit.size < 2 * rows.slopes.shape[-1]:
+            return None
         step, weight, spread = _fitted(rows)
         lean = np.linalg.solve(_sums(rows, weight)[0], np.eye(rows.slopes.shape[-1])[0])
         # the inverse of the information in the track's speed without noise; below the noise, nothing moved
         if not 0.0 < lean[0] * float(weight @ rows.own) < 1.0:
             return None
-        own = np.sqrt(spread * np.square(weight[:, None] * (rows.slopes @ lean)).sum())
+        own = np.sqrt(spread * _variance(rows, weight[:, None] * (rows.slopes @ lean)))
         late += float(np.clip(step, -STEP, STEP))
         if abs(step) < STILL * own:
             information = np.square(rows.slopes @ lean).sum(axis=1)
@@ -91,6 +93,22 @@ def _fitted(rows: Rows) -> tuple[float, Array, float]:
     return float(beta[0]), weight, spread
 
 
+def _variance(rows: Rows, pull: Array) -> float:
+    """Variance of the sum of misfits (R,2) times `pull` (R,2), for a residual variance of 1.
+
+    Neighbouring misfits are interpolated from the same images, so their noise is correlated, and less than an image's.
+    Residuals are less than misfits by the unknowns fitted.
+    """
+    by_image = np.einsum("rkde,rd->rke", rows.image, pull)
+    count = int(rows.frames.max()) + 1
+    each = (np.bincount(rows.frames.ravel(), column.ravel(), count) for column in np.moveaxis(by_image, -1, 0))
+    beside = np.square(pull).sum() - np.square(by_image.sum(axis=1)).sum()
+    total = beside + sum(np.square(column).sum() for column in each)
+    residual = 2.0 - np.square(rows.image.sum(axis=1)).sum(axis=(1, 2)) + np.square(rows.image).sum(axis=(1, 2, 3))
+    free = 1.0 - rows.slopes.shape[-1] / rows.misfit.size
+    return float(total * 2.0 / (residual.mean() * free))
+
+
 def _sums(rows: Rows, weight: Array) -> tuple[Array, Array]:
     """Normal matrix and right side of the weighted regression, corrected for noise in the track's speed."""
     size = rows.slopes.shape[-1]
@@ -106,5 +124,7 @@ def _together(parts: Sequence[Rows]) -> Rows:
     """Rows of all curves in order of time."""
     if len(parts) == 1:
         return parts[0]
+    counts = np.cumsum([0, *(part.frames.max(initial=0) + 1 for part in parts)])
+    parts = [replace(part, frames=part.frames + count) for part, count in zip(parts, counts, strict=False)]
     rows = Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__annotations__))
     return rows.some(np.argsort(rows.t, kind="stable"))
