@@ -78,7 +78,7 @@ def measured(features: Features, settings: Settings) -> "tuple[dict[str, Delay],
     for name, rest in turn.residuals[0].items():
         late = start.get(name, 0.0) + turn.late[0].get(name, 0.0) + rest.seconds
         clear = name in started or not correction.significant(rest)
-        (found if clear else unclear)[name] = Delay(late, rest.std_error, 0.5 * (late / rest.std_error) ** 2)
+        (found if clear else unclear)[name] = Delay(late, rest.std_error)
     return found, unclear
 
 

@@ -72,6 +72,10 @@ def _drifting(fault: Fault, size: str, since: str, known: bool) -> str:
     return f"{fault.name}: encoder drifts {since}{f', by {size}' * known}"
 
 
+def _jumping(fault: Fault, size: str, since: str, known: bool) -> str:
+    return f"{fault.name}: encoder jumps{f' by {size}' * known} at {fault.since:.1f} s"
+
+
 def _other(fault: Fault, size: str, since: str, known: bool) -> str:
     return f"{fault.name}: {fault.kind} ({fault.sense}) {since}{f', {size}' * known}"
 
@@ -79,7 +83,7 @@ def _other(fault: Fault, size: str, since: str, known: bool) -> str:
 _WORDS: Mapping[tuple[str, str], Callable[[Fault, str, str, bool], str]] = {
     ("encoders", "drifting"): _drifting,
     ("encoders", "offset"): lambda f, size, since, known: f"{f.name}: encoder is off{f' by {size}' * known} {since}",
-    ("encoders", "jumping"): lambda f, size, since, known: f"{f.name}: encoder jumps by {size} at {f.since:.1f} s",
+    ("encoders", "jumping"): _jumping,
     ("encoders", "frozen"): lambda f, size, since, known: f"{f.name}: encoder is frozen {since}",
     ("encoders", "dead"): lambda f, size, since, known: f"{f.name}: encoder is silent {since}",
     ("vision", "frozen"): lambda f, size, since, known: f"{f.name}: its images are frozen {since}",

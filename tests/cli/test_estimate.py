@@ -88,7 +88,8 @@ def test_fault_is_on_its_topic_and_in_the_report(tmp_path, capsys, run_cli, drif
     page = (tmp_path / "page.html").read_text()
     assert "<th>std/encoders</th>" in page and "<th>process_noise/acceleration</th>" in page
     table = page[page.index("Sensor faults") :]
-    assert table.index("shoulder_pan_joint") < table.index("drifting") < table.index(f"{fault.size:.4g} rad") < 1500
+    size = f"{fault.size:.4g} ± {fault.std:.2g} rad"
+    assert table.index("shoulder_pan_joint") < table.index("drifting") < table.index(size) < 1500
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation.timing.correction import GAIN, measured_delays
+from bodylog.estimation.faults.threshold import NATS
+from bodylog.estimation.timing.correction import measured_delays
 
 
 def delayed(features, seconds):
@@ -42,8 +43,17 @@ def test_measured_delay_has_true_error_bars(world, camera_hz, encoder_hz):
         seconds = (-0.1, -0.05, -0.02, -0.005, 0.0, 0.005, 0.02, 0.05, 0.1, 0.3)[seed % 10]
         found = measured_delays(delayed(drawn.features, seconds), drawn.body)["camera"]
         off.append((found.seconds - seconds) / found.std_error)
-        assert found.nats > GAIN if abs(seconds) >= 0.05 else seconds or found.nats < GAIN
+        assert found.nats > NATS if abs(seconds) >= 0.05 else seconds or found.nats < NATS
     assert np.abs(off).max() < 4.0 and 0.7 < np.sqrt(np.mean(np.square(off))) < 1.4
+
+
+def test_delay_error_holds_the_correlation_of_interpolated_images(world):
+    off = []
+    for seed in range(300):
+        drawn = world(seed, camera_hz=30.0, encoder_std=0.001)
+        found = measured_delays(drawn.features, drawn.body)["camera"]
+        off.append(found.seconds / found.std_error)
+    assert 0.88 < np.sqrt(np.mean(np.square(off))) < 1.12
 
 
 @pytest.mark.parametrize("how", ["drift", "frozen", "gap", "outliers", "backwards"])
@@ -52,7 +62,7 @@ def test_measured_delay_is_independent_of_other_faults(world, how, seconds):
     for seed in range(4):
         found = measured_delays(delayed(spoilt(world(seed, camera_hz=30.0), how), seconds), world(seed).body)["camera"]
         assert abs(found.seconds - seconds) < 4.0 * found.std_error + 1e-3
-        assert (found.nats > GAIN) == (seconds > 0.0)
+        assert (found.nats > NATS) == (seconds > 0.0)
 
 
 def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
@@ -67,7 +77,7 @@ def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
                 for found in measured_delays(delayed(features, seconds), drawn.body).values():
                     count += 1
                     assert abs(found.seconds - seconds) < 4.0 * found.std_error
-                    assert (found.nats > GAIN) == (seconds > 0.0)
+                    assert (found.nats > NATS) == (seconds > 0.0)
     assert count >= 12
 
 
@@ -108,7 +118,7 @@ def test_measured_delay_uses_the_middle_of_a_long_log(world):
     still = (track.t > 15.0) & (track.t < 85.0)
     unseen = replace(track, values=np.where(still[:, None], np.nan, track.values))
     found = measured_delays(delayed(replace(drawn.features, tracks={"effector": unseen}), 0.05), drawn.body)["camera"]
-    assert abs(found.seconds - 0.05) < 4.0 * found.std_error and found.nats > GAIN
+    assert abs(found.seconds - 0.05) < 4.0 * found.std_error and found.nats > NATS
 
 
 @pytest.mark.parametrize("seed", range(3))

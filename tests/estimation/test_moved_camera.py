@@ -8,6 +8,7 @@ import pytest
 from bodylog.estimation import estimate
 from bodylog.estimation.faults.moved_camera import InflatedVariance, detect
 from bodylog.estimation.faults.screening import screened
+from bodylog.estimation.faults.threshold import NATS
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Explored
 from tests.estimation.resting import MOTIONS, Drawn, drawn, judged
@@ -98,7 +99,7 @@ def test_inflated_variance_keeps_attributes_and_evidence_is_reported():
     plain, x = Explored(), np.array([[-0.9, -0.9, 1.0]])
     hypotheses = estimate(world.features, world.body, Estimation()).settings["hypotheses"]
     assert [(one["name"], one["chosen"], one["threshold"]) for one in hypotheses] == [
-        ("camera late", False, 8.0), ("camera moved", False, 20.0), ("white jerk", False, 0.0),
+        ("camera late", False, NATS), ("camera moved", False, NATS), ("white jerk", False, 0.0),
     ]  # fmt: skip
     unsure = InflatedVariance(plain, np.array([0.1, 0.2]))
     assert unsure.samples is plain.samples and unsure.outputs == plain.outputs

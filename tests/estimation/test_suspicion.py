@@ -13,6 +13,7 @@ from bodylog.estimation.faults.offset_score import offset_score
 from bodylog.estimation.inference.gauss_newton import solve
 from bodylog.estimation.methods import filtering
 from bodylog.settings import Estimation, Settings
+from tests.seeds import seeds
 
 WALK = encoder_offset.WALKS[0]
 
@@ -36,7 +37,7 @@ def test_offset_score_is_the_evidence_with_an_offset(world, seed, size):
     cost = partial(filtering.cost, warm=found)
     wins = [cost(problem) - cost(encoder_offset.with_drift(problem, WALK * row)) for row in np.eye(3)]
     np.testing.assert_allclose(offset_score(problem, found, WALK)[0], wins, atol=20.0, rtol=0.3)
-    assert (max(wins) > encoder_offset.GAIN) is (size > 0)
+    assert (max(wins) > encoder_offset.NATS) is (size > 0)
 
 
 def test_offset_score_without_images_is_zero(world):
@@ -77,7 +78,7 @@ def test_offset_score_decreases_with_a_smoothers_lag(world, learned, monkeypatch
         drawn = world(seed, duration=120.0, encoder_hz=100.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
         estimate(drawn.features, learned, Estimation(method="smoother"))
     assert len(scored) == 2
-    # a nat per eight half-second spans, so a log of ten minutes stays far from GAIN
+    # a nat per eight half-second spans, so a log of ten minutes stays far from NATS
     assert max(gain.max() for gain, _, _ in scored) < -30.0
 
 
@@ -85,7 +86,7 @@ def test_model_error_gives_no_encoder_fault(world, learned):
     for seed in range(2, 5):
         drawn = world(seed, duration=120.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
         gain, _, _ = offset_score(*solved(drawn.features, learned), WALK)
-        assert (gain < encoder_offset.GAIN).all()
+        assert (gain < encoder_offset.NATS).all()
 
 
 @pytest.mark.parametrize("joint", ["lift", "elbow"])
@@ -95,3 +96,20 @@ def test_encoder_step_near_the_noise_is_named(world, seed, joint):
     found = estimate(lying(drawn, 0.04, joint), drawn.body, Estimation())
     assert [fault.name for fault in found.faults] == [joint]
     assert found.faults[0].size == pytest.approx(0.04, abs=0.02)
+
+
+@pytest.mark.parametrize(("joint", "size"), [("pan", 0.1), ("elbow", -0.05)])
+@pytest.mark.parametrize("seed", seeds(1, 20))
+def test_encoder_step_has_its_time_and_its_size_within_its_error(world, seed, joint, size):
+    drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
+    (fault,) = estimate(lying(drawn, size, joint), drawn.body, Estimation()).faults
+    assert (fault.name, fault.kind) == (joint, "jumping") and abs(fault.since - 8.0) < 0.1
+    assert abs(fault.size - size) < 4.0 * fault.std < 0.03
+
+
+def test_drift_has_a_size_with_its_error(world):
+    drawn = world(1, duration=16.0, encoder_std=0.01, camera_hz=20.0)
+    joints = drawn.features.joints
+    values = joints.values + np.outer(0.02 * np.clip(joints.t - 8.0, 0.0, None), np.array(joints.names) == "pan")
+    (fault,) = estimate(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, Estimation()).faults
+    assert fault.kind == "drifting" and abs(fault.size - 0.16) < 4.0 * fault.std < 0.05

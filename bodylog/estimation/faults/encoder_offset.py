@@ -11,9 +11,9 @@ from ..inference.solution import Solution
 from ..measurements.records import Encoders
 from ..noise.quantisation import step_size
 from .offset_score import offset_score
+from .offset_step import Step, free_energy, likeliest_step
+from .threshold import NATS
 
-GAIN = 20.0
-"""Nats of evidence that each further offset must win."""
 MOST = 2000
 """Most instants used for the size of a fault."""
 WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
@@ -26,11 +26,12 @@ SIGMAS, LEAST = 4.0, 0.01
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """A problem, its cost (nats), and, by joint number, the joints whose offset explains nearly as much."""
+    """A problem, its cost (nats), by joint number the joints whose offset explains nearly as much, and steps found."""
 
     problem: Problem
     nats: float
     alternatives: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+    steps: Mapping[int, Step] = field(default_factory=dict)
 
     def of(self, problem: Problem) -> "Chosen":
         """Return a copy with another problem."""
@@ -38,69 +39,80 @@ class Chosen:
 
 
 def suspected_encoders(problem: Problem, solved: Solution) -> Array:
-    """Encoders (M,) bool whose offset would, to first order, explain GAIN nats of the log."""
+    """Encoders (M,) bool whose offset would, to first order, explain NATS nats of the log."""
     gain, offset, var = offset_score(problem, solved, WALKS[0])
     certain = _significant(offset, var, smallest_fault(problem.evidence.encoders))
-    return np.asarray((gain > GAIN) & certain.any(axis=0) & (_walks(problem) == 0))
+    return np.asarray((gain > NATS) & certain.any(axis=0) & (_walks(problem) == 0))
 
 
 def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
-    """Return the problem with an offset for each encoder where that wins GAIN nats; `cost` gives nats.
+    """Return the problem with an offset for each encoder where that wins NATS; `cost` gives nats.
 
-    suspected (M,) bool: the encoders tried first, at least one.
+    suspected (M,) bool: the encoders tried first, at least one. Steps are taken out of the readings, and are faults and
+    hypotheses of the evidence.
     """
     first = cost(problem)
-    found = _added(Chosen(problem, nats(solved) if np.isinf(first) else first), suspected, cost)
+    found = _added(Chosen(problem, free_energy(solved) if np.isinf(first) else first), solved, suspected, cost)
     if found.problem is problem:
         return found
     # images that looked blurred because of the offset regain the std that perception states
     precision = found.problem.precision
     sharp = replace(found.problem, precision=replace(precision, scale=dict.fromkeys(precision.scale, 1.0)))
-    return found if sharp.precision.scale == precision.scale or cost(sharp) >= found.nats else found.of(sharp)
+    unchanged = sharp.precision.scale == precision.scale or cost(sharp) >= found.nats
+    return _named(found if unchanged else found.of(sharp))
 
 
-def _added(found: Chosen, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
-    """Add one offset after the other while each wins GAIN nats, and choose its random walk by evidence."""
+def _named(found: Chosen) -> Chosen:
+    """The same with its steps among the faults of the evidence."""
+    evidence = found.problem.evidence
+    faults = tuple(
+        Fault("encoders", either, "jumping", step.since, np.nan if EITHER in either else step.size, "rad", step.std)
+        for joint, step in found.steps.items()
+        for either in [EITHER.join(evidence.joints[k] for k in (joint, *found.alternatives[joint]))]
+    )
+    return found.of(replace(found.problem, evidence=replace(evidence, faults=(*evidence.faults, *faults))))
+
+
+def _added(found: Chosen, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
+    """Add one offset after the other while each wins NATS."""
     while suspected.any():
         drift = _walks(found.problem)
         asked = np.flatnonzero(suspected)
         own = [np.arange(len(drift)) == j for j in asked]
         costs = np.array([cost(with_drift(found.problem, np.where(one, WALKS[0], drift))) for one in own])
         best = int(costs.argmin())
-        if costs[best] > found.nats - GAIN:
+        if costs[best] > found.nats - NATS:
             return found
-        near = [int(j) for j, nats in zip(asked, costs, strict=True) if nats < costs[best] + GAIN]
-        ways = [_best_walk(found.problem, j, float(costs[asked == j][0]), cost) for j in near]
-        # the walk is chosen before a further offset is tried: one that wanders too freely hides others
-        least = min(nats for nats, _ in ways)
+        near = [int(j) for j, nats in zip(asked, costs, strict=True) if nats < costs[best] + NATS]
+        # the kind of offset is chosen before a further one is tried: one that wanders too freely hides others
+        ways = {j: _best_way(found.problem, j, float(costs[asked == j][0]), solved, cost) for j in near}
+        least = min(way.nats for way in ways.values())
         # among indistinguishable joints take the smallest walk: a larger one follows errors of the body model
-        near_best = [
-            (_walks(way)[j], nats, j, way) for j, (nats, way) in zip(near, ways, strict=True) if nats < least + GAIN
-        ]
-        _, nats, joint, chosen = min(near_best, key=lambda one: one[:3])
-        others = tuple(sorted(j for *_, j, _ in near_best if j != joint))
-        found = Chosen(chosen, nats, {**found.alternatives, joint: others})
+        near = [j for j, way in ways.items() if way.nats < least + NATS]
+        joint = min(near, key=lambda j: (_walks(ways[j].problem)[j], ways[j].nats, j))
+        way, others = ways[joint], tuple(sorted(j for j in near if j != joint))
+        steps = {**found.steps, joint: way} if isinstance(way, Step) else found.steps
+        found = Chosen(way.problem, way.nats, {**found.alternatives, joint: others}, steps)
         # once one offset is modelled, another may show
-        suspected = _walks(found.problem) == 0
+        suspected = (_walks(found.problem) == 0) & ~np.isin(np.arange(len(drift)), list(steps))
     return found
 
 
-def _best_walk(problem: Problem, joint: int, least: float, cost: Callable[[Problem], float]) -> tuple[float, Problem]:
-    """Cost (nats) and problem with the best random walk of one joint's offset; the first walk costs `least`."""
+def _best_way(
+    problem: Problem, joint: int, least: float, solved: Solution, cost: Callable[[Problem], float]
+) -> Chosen | Step:  # fmt: skip
+    """The best random walk of one joint's offset, or its step where that costs less; the first walk costs `least`."""
     own = np.arange(len(problem.start)) == joint
     ways = [with_drift(problem, np.where(own, walk, _walks(problem))) for walk in WALKS]
     costs = [least, *(cost(way) for way in ways[1:])]
-    return min(zip(costs, ways, strict=True), key=lambda pair: pair[0])
+    walk = int(np.argmin(costs))
+    step = likeliest_step(problem, ways[walk], joint, solved)
+    return step if step is not None and step.nats < costs[walk] else Chosen(ways[walk], costs[walk])
 
 
 def _walks(problem: Problem) -> Array:
     """Random walks (M,) rad²/s of the offsets in the problem so far."""
     return np.zeros(len(problem.start)) if problem.precision.drift is None else np.asarray(problem.precision.drift)
-
-
-def nats(solution: Solution) -> float:
-    """Free energy (nats) of a whole filtered log."""
-    return float(solution.fold.unfold(solution.trace.nats).sum())
 
 
 def with_drift(problem: Problem, drift: Array) -> Problem:
@@ -143,26 +155,29 @@ def faults(
     """
     t, walks = problem.timeline.t, _walks(problem)
     found, certain = [], _significant(offset, var, smallest_fault(problem.evidence.encoders))
+    faulty = {name for fault in (*known, *problem.evidence.faults) for name in fault.name.split(EITHER)}
     for joint, name in enumerate(names):
-        if any(fault.name == name for fault in known):
+        if name in faulty:
             continue
         off = certain[:, joint]
         lasting = off & (np.cumsum(off[::-1])[::-1] > 0.5 * np.arange(len(t), 0, -1))
         if lasting.any():
             alternatives = problem.alternatives.get(joint, ())
             own = offset[:, joint], var[:, joint], float(walks[joint])
-            size = np.nan if alternatives else _largest_smoothed(t, *own)
+            size, std = (np.nan, None) if alternatives else _largest_smoothed(t, *own)
             either = EITHER.join([name, *(names[k] for k in alternatives)])
-            found.append(Fault("encoders", either, "drifting", float(t[lasting.argmax()]), size, "rad"))
+            found.append(Fault("encoders", either, "drifting", float(t[lasting.argmax()]), size, "rad", std))
     return tuple(found)
 
 
-def _largest_smoothed(t: Array, offset: Array, var: Array, walk: float) -> float:
-    """Largest smoothed offset (rad) from filtered ones (N,) with variances (N,) at t (N,) s."""
+def _largest_smoothed(t: Array, offset: Array, var: Array, walk: float) -> tuple[float, float]:
+    """Largest smoothed offset and its std (rad) from filtered ones (N,) with variances (N,) at t (N,) s."""
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MOST)).astype(int))
-    grown = walk * np.diff(t[some])
-    back = var[some][:-1] / np.maximum(var[some][:-1] + grown, np.finfo(float).tiny)
-    whole = offset[some].tolist()
+    ahead = var[some][:-1] + walk * np.diff(t[some])
+    back = var[some][:-1] / np.maximum(ahead, np.finfo(float).tiny)
+    whole, spread = offset[some].tolist(), var[some].tolist()
     for k in range(len(whole) - 2, -1, -1):
         whole[k] += back[k] * (whole[k + 1] - whole[k])
-    return float(max(whole, key=abs))
+        spread[k] += back[k] ** 2 * (spread[k + 1] - ahead[k])
+    at = int(np.argmax(np.abs(whole)))
+    return float(whole[at]), float(np.sqrt(max(spread[at], 0.0)))

@@ -54,12 +54,12 @@ class Curve:
         """Square root (B,2,2) of the inverse covariance of positions less predictions."""
         cov = np.einsum("bdm,bm,bem->bde", self.jac, self.encoder, self.jac)
         np.einsum("bdd->bd", cov)[:] += self.model + self.noise / self.images
-        return np.linalg.cholesky(np.linalg.inv(cov)).swapaxes(1, 2)
+        return np.asarray(np.linalg.cholesky(np.linalg.inv(cov)).swapaxes(1, 2))
 
     @cached_property
     def offsets(self) -> Array:
         """Slopes (B,2,KM) of whitened predictions in encoder offsets at the knots."""
-        return np.einsum("bde,bem,bk->bdmk", self.root, self.jac, self.bends).reshape(len(self.at), 2, -1)
+        return np.asarray(np.einsum("bde,bem,bk->bdmk", self.root, self.jac, self.bends).reshape(len(self.at), 2, -1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from ...body_model import BodyModel
 from ...settings import Estimation
 from ...types import Array, Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
+from ..faults.offset_step import free_energy
 from ..faults.screening import screened
 from ..inference.convergence import DidNotConverge
 from ..inference.gauss_newton import solve
@@ -164,7 +165,7 @@ def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution |
 def cost(problem: Problem, warm: Solution | None = None) -> float:
     """Free energy (nats) of the whole log, filtered from where `warm` ended; infinite without convergence."""
     try:
-        return encoder_offset.nats(solve(problem, warm, rest=ROUGHLY))
+        return free_energy(solve(problem, warm, rest=ROUGHLY))
     except DidNotConverge:
         return np.inf
 

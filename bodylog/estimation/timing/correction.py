@@ -10,15 +10,13 @@ from ...body_model import BodyModel
 from ...errors import ModelError, UsageError
 from ...types import Array, Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import screen_encoders
+from ..faults.threshold import NATS
 from ..measurements.gather import camera, columns
 from ..measurements.long_arrays import any_of_row, rows
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track import ascending, pixel_variance
 from .regression import FARTHEST, Delay, measured
 
-GAIN, FURTHER = 8.0, 3.0
-"""Nats of evidence for a delay (four standard errors where many parts of the log agree), and for a further camera's
-once one camera is late."""
 LEAST = 1e-3
 """s: a smaller delay is ignored; most cameras expose for longer."""
 SURE = 4.0
@@ -49,15 +47,14 @@ def corrected(features: Features, body: BodyModel, given: str | Mapping[str, flo
     fixed = fixed_delays(given, names)
     delays, errors = {name: fixed.get(name, learned.get(name, 0.0)) for name in (JOINTS, *names)}, dict[str, float]()
     residuals = measured_delays(shifted(features, delays), body)
-    gain = FURTHER if any(significant(residual) for residual in residuals.values()) else GAIN
     for name, residual in residuals.items():
-        if significant(residual, gain=gain) and name not in fixed:
+        if significant(residual) and name not in fixed:
             own = delays[name] + residual.seconds
             # a camera without its learned delay more likely has none than the measured rest
             keep = not delays[name] or abs(own) > SURE * residual.std_error
             delays[name], errors[name] = (own, residual.std_error) if keep else (0.0, 0.0)
     weighed = tuple(
-        Hypothesis("camera late", name, residual.nats, gain, name not in fixed and significant(residual, gain=gain))
+        Hypothesis("camera late", name, residual.nats, NATS, name not in fixed and significant(residual))
         for name, residual in residuals.items()
     )
     errors = {name: error for name, error in errors.items() if error}
@@ -83,9 +80,9 @@ def cameras(tracks: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(camera(name) for name in tracks if name != "encoders"))
 
 
-def significant(delay: Delay, least: float = LEAST, gain: float = GAIN) -> bool:
-    """Whether a delay wins more than `gain` nats and exceeds `least` s."""
-    return delay.nats > gain and abs(delay.seconds) > least
+def significant(delay: Delay, least: float = LEAST) -> bool:
+    """Whether a delay wins more than NATS and exceeds `least` s."""
+    return delay.nats > NATS and abs(delay.seconds) > least
 
 
 def shifted(features: Features, delays: Mapping[str, float]) -> Features:

@@ -39,7 +39,7 @@ def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prio
         error = weight**-0.5
         late -= float(np.clip(pull / weight, -STEP, STEP))
         if abs(pull / weight) < STILL * error:
-            return Delay(late, error, 0.5 * (late / error) ** 2)
+            return Delay(late, error)
     return None
 
 

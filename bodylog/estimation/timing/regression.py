@@ -29,11 +29,15 @@ ONE = 0.6
 
 @dataclass(frozen=True)
 class Delay:
-    """A delay of image timestamps (s), its standard error (s), and the evidence against no delay (nats)."""
+    """A delay of image timestamps (s) and its standard error (s)."""
 
     seconds: float
     std_error: float
-    nats: float
+
+    @property
+    def nats(self) -> float:
+        """Evidence against no delay (nats)."""
+        return 0.5 * (self.seconds / self.std_error) ** 2
 
 
 def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
@@ -59,14 +63,14 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
             if weight @ information < ONE * information.sum():
                 return None
             part_length = max(PART, STEPS * max(curve.step for curve in curves))
-            return _with_std_error(late, own, rows, weight, lean, part_length)
+            return _with_std_error(late, own, rows, weight, part_length)
         if abs(late) > FARTHEST:
             return None
     return None
 
 
-def _with_std_error(late: float, own: float, rows: Rows, weight: Array, lean: Array, part: float) -> Delay:
-    """The delay, its standard error from noise and a jackknife over parts (s), and its evidence."""
+def _with_std_error(late: float, own: float, rows: Rows, weight: Array, part: float) -> Delay:
+    """The delay, and the larger standard error of noise and of a jackknife over parts (s)."""
     count = int(np.clip(np.ptp(rows.t) / part, 2, PARTS))
     edges = np.linspace(rows.t[0], rows.t[-1], count + 1)[1:-1]
     bounds = np.unique(np.concatenate([[0], np.searchsorted(rows.t, edges), [len(rows.t)]]))
@@ -74,10 +78,7 @@ def _with_std_error(late: float, own: float, rows: Rows, weight: Array, lean: Ar
     normal, pull = (np.stack(each) for each in zip(*sums, strict=True))
     without = np.linalg.solve(normal.sum(axis=0) - normal, (pull.sum(axis=0) - pull)[..., None])[:, 0, 0]
     apart = np.sqrt((1.0 - 1.0 / len(sums)) * np.square(without - without.mean()).sum())
-    part_information = np.add.reduceat(np.square(weight[:, None] * (rows.slopes @ lean)).sum(axis=1), bounds[:-1])
-    effective = part_information.sum() ** 2 / np.square(part_information).sum()
-    nats = min(0.5 * (late / own) ** 2, 0.5 * effective * np.log1p((late / apart) ** 2 / effective))
-    return Delay(late, float(max(own, apart)), float(nats))
+    return Delay(late, float(max(own, apart)))
 
 
 def _fitted(rows: Rows) -> tuple[float, Array, float]:

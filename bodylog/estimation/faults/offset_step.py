@@ -1,0 +1,153 @@
+"""An encoder whose offset steps: from one reading on, all its readings are off by a constant.
+
+Time and size are those of greatest evidence of the whole filter. A size N(0, FAR²) with standard error σ, and a time at
+any of N readings, cost ½ ln(1 + FAR²/σ²) + ln N nats of it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...types import Array
+from ..inference.convergence import DidNotConverge
+from ..inference.gauss_newton import solve
+from ..inference.initial_path import OFFSET_STD
+from ..inference.problem import Problem
+from ..inference.solution import Solution
+from ..noise.evidence_search import ROUGHLY
+from .moved_camera import FAR
+
+AROUND, ROUNDS = 40, 6
+"""Readings on each side among which a step's time is refined, and most rounds of it."""
+EARLY = 1.0
+"""s: an encoder that is off this early is off from the start, without a step."""
+WIDTHS = 2.0
+"""Standard errors on each side of a size at which the evidence is compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A step of `size` ± `std` rad since a time (s), the problem without it, and its cost (nats)."""
+
+    since: float
+    size: float
+    std: float
+    problem: Problem
+    nats: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A reading (row) from which on an encoder is off by `size` rad, and the solution without that step."""
+
+    row: int
+    size: float
+    problem: Problem
+    solved: Solution
+
+    @property
+    def nats(self) -> float:
+        """Cost of the whole log."""
+        return free_energy(self.solved)
+
+
+def free_energy(solution: Solution) -> float:
+    """Free energy (nats) of a whole filtered log."""
+    return float(solution.fold.unfold(solution.trace.nats).sum())
+
+
+def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Solution) -> Step | None:
+    """The most likely step of one joint's encoder, given the problem without and with a `wandering` offset of it.
+
+    None where the log determines no step, or without convergence.
+    """
+    # pooled readings of a known solution would still have the step
+    fresh, encoders = replace(solved, knots=None), problem.evidence.encoders
+    assert encoders is not None
+
+    def trial(row: int, size: float) -> _Trial:
+        without = _without(problem, joint, row, size)
+        return _Trial(row, size, without, solve(without, fresh, rest=ROUGHLY))
+
+    try:
+        path = _offsets(wandering, solve(wandering, fresh, rest=ROUGHLY), joint)
+        row, size = _two_levels(path)
+        if encoders.t[row] - encoders.t[0] < EARLY:
+            return None
+        return _sized(trial, _located(trial, encoders.values[:, joint], row, size, joint), encoders.t)
+    except DidNotConverge:
+        return None
+
+
+def _without(problem: Problem, joint: int, row: int, size: float) -> Problem:
+    """The problem with a step taken out of one encoder's readings."""
+    encoders = problem.evidence.encoders
+    assert encoders is not None
+    values = encoders.values.copy()
+    values[row:, joint] -= size
+    return replace(problem, evidence=replace(problem.evidence, encoders=replace(encoders, values=values)))
+
+
+def _offsets(problem: Problem, solved: Solution, joint: int) -> Array:
+    """Filtered offset (N,) rad of one encoder at its readings."""
+    first = problem.dynamics.offset
+    assert first is not None
+    return np.asarray(solved.fold.unfold(solved.trace.z[:, first + joint])[problem.timeline.encoders])
+
+
+def _two_levels(path: Array) -> tuple[int, float]:
+    """The row from which on a path (N,) is best described by one level instead of 0, and that level."""
+    count = np.arange(len(path), 0, -1)
+    level = np.cumsum(path[::-1])[::-1] / count
+    row = int((count * level**2).argmax())
+    return row, float(level[row])
+
+
+def _located(trial: Callable[[int, float], _Trial], y: Array, row: int, size: float, joint: int) -> _Trial:
+    """The trial of least cost among rows about the first guess, for readings y (N,) rad."""
+    best: _Trial | None = None
+    for guess in {row, _steepest(y, row, size)}:
+        rows = set[int]()
+        while guess not in rows and len(rows) < ROUNDS:
+            rows.add(guess)
+            tried = trial(guess, size)
+            best = tried if best is None or tried.nats < best.nats else best
+            guess = _boundary(y - _angles(tried, joint), guess, size)
+    assert best is not None
+    return best
+
+
+def _angles(tried: _Trial, joint: int) -> Array:
+    """Filtered angle (N,) rad of one joint at the encoders' readings."""
+    return np.asarray(tried.solved.fold.unfold(tried.solved.trace.z[:, joint])[tried.problem.timeline.encoders])
+
+
+def _steepest(y: Array, row: int, size: float) -> int:
+    """The row about `row` at which readings y (N,) change most towards the size."""
+    low, high = max(1, row - AROUND), min(len(y), row + AROUND)
+    change = np.sign(size) * np.diff(y[low - 1 : high])
+    return low + int(np.where(np.isfinite(change), change, -np.inf).argmax()) if high > low else row
+
+
+def _boundary(off: Array, row: int, size: float) -> int:
+    """The row about `row` that best divides residuals off (N,) into those about 0 and those about the size."""
+    low = max(0, row - AROUND)
+    near = off[low : row + AROUND]
+    # squared distance from 0 less that from the size, summed over the rows before
+    return low + int(np.append(0.0, np.cumsum(np.nan_to_num(size * (2.0 * near - size)))).argmin())
+
+
+def _sized(trial: Callable[[int, float], _Trial], best: _Trial, t: Array) -> Step | None:
+    """The size of greatest evidence by a parabola, twice, the second time as wide as the first one's error says."""
+    half, std = 0.5 * OFFSET_STD, 0.0
+    for _ in range(2):
+        below, above = (trial(best.row, best.size + off).nats for off in (-half, half))
+        bend = (below - 2.0 * best.nats + above) / half**2
+        if bend <= 0.0:
+            return None
+        more = np.clip((below - above) / (2.0 * half * bend), -2.0 * half, 2.0 * half)
+        best, std = trial(best.row, best.size + float(more)), bend**-0.5
+        half = WIDTHS * std
+    cost = best.nats + 0.5 * np.log1p((FAR / std) ** 2) + 0.5 * (best.size / FAR) ** 2 + np.log(len(t))
+    return Step(float(t[best.row]), best.size, float(std), best.problem, float(cost))
