@@ -20,6 +20,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 VERBOSITY = "bodylog.verbosity"
 """Key in a command's meta: -1 errors alone, 0 warnings too, 1 everything."""
+COPIES = "bodylog.copies"
+"""Key in a command's meta: the URLs of fetched logs by the paths of their copies."""
 
 
 def show(result: "Result", source: Any, as_json: bool, full: bool = False, **further: Any) -> int:
@@ -81,13 +83,21 @@ def print_error(problem: Exception) -> None:
 
 def line(text: str, err: bool = False) -> None:
     """Print one line; control characters, which names in a log may hold, as their codes."""
-    plain = (c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
+    plain = (c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in as_typed(text))
     try:
         click.echo("".join(plain), err=err)
     except OSError:
         if not err:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # nobody reads it: the work goes on
+
+
+def as_typed(text: str) -> str:
+    """Text that names copies of fetched logs, with their URLs instead."""
+    context = click.get_current_context(silent=True)
+    for copy, url in () if context is None else context.meta.get(COPIES, {}).items():
+        text = text.replace(copy, url)
+    return text
 
 
 def entry(result: "Result", source: Any) -> dict[str, Any]:
@@ -120,11 +130,13 @@ def print_json(results: Sequence[Mapping[str, Any]]) -> None:
 
 def _finite(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {as_typed(str(key)): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
     if hasattr(value, "tolist"):
         return _finite(value.tolist())
+    if isinstance(value, str | os.PathLike):
+        return as_typed(os.fspath(value))
     return None if isinstance(value, float) and (value != value or abs(value) == float("inf")) else value
 
 

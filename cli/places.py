@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from .options import Folder, Named, OutputFile, OutputLog, Url
+from .output import COPIES
 
 if TYPE_CHECKING:
     from bodylog.io.outputs import Output
@@ -76,4 +77,6 @@ def _fetched(value: Any, fetched: ExitStack) -> Any:
 
     from bodylog.io import remote
 
-    return fetched.enter_context(remote.local(value, Path(gettempdir())))
+    path = fetched.enter_context(remote.local(value, Path(gettempdir())))
+    click.get_current_context().meta.setdefault(COPIES, {})[str(path)] = str(value)
+    return path

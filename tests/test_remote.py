@@ -5,14 +5,17 @@ import json
 import os
 import shutil
 import threading
+from contextlib import contextmanager
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 
+import bodylog.logs as logs
 from bodylog import info
 from bodylog.errors import BodylogError, LogError, UsageError
 from bodylog.io import remote
+from bodylog.logs.formats import payloads
 from bodylog.settings import Settings
 from tests.logs.writing import T0, Stream, write
 
@@ -31,7 +34,7 @@ class _Ranges(SimpleHTTPRequestHandler):
         """Serve the file or the requested range."""
         path = Path(self.translate_path(self.path))
         if not path.is_file():
-            self.send_error(404)
+            super().do_GET()
             return
         size, asked = path.stat().st_size, self.headers.get("Range")
         low, _, high = asked.removeprefix("bytes=").partition("-") if asked else ("0", "-", "")
@@ -44,17 +47,42 @@ class _Ranges(SimpleHTTPRequestHandler):
         self.wfile.write(path.read_bytes()[begin:end])
 
 
+class _Whole(SimpleHTTPRequestHandler):
+    """A file server without ranges."""
+
+    def log_message(self, *_: object) -> None:
+        """Print nothing."""
+
+
+class _Cut(_Ranges):
+    """A file server that ends ranges after 100 bytes."""
+
+    def do_GET(self) -> None:
+        """Serve the file or the first part of the range."""
+        if asked := self.headers.get("Range"):
+            low, _, high = asked.removeprefix("bytes=").partition("-")
+            self.headers.replace_header("Range", f"bytes={low}-{min(int(high), int(low) + 99)}")
+        super().do_GET()
+
+
+@contextmanager
+def _serving(folder, kind):
+    """The address of a folder that a kind of server serves."""
+    pytest.importorskip("aiohttp")
+    server = ThreadingHTTPServer(("127.0.0.1", 0), lambda *a: kind(*a, directory=str(folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+
+
 @pytest.fixture
 def served(tmp_path):
     """A folder and its address."""
-    pytest.importorskip("aiohttp")
     folder = tmp_path / "served"
     folder.mkdir()
-    server = ThreadingHTTPServer(("127.0.0.1", 0), lambda *a: _Ranges(*a, directory=str(folder)))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield folder, f"http://127.0.0.1:{server.server_port}"
-    server.shutdown()
-    server.server_close()
+    with _serving(folder, _Ranges) as address:
+        yield folder, address
 
 
 def _described(read):
@@ -112,6 +140,39 @@ def test_info_over_http_equals_the_files(served, robot):
         assert described == here
 
 
+def _read(where):
+    """Format, payloads and findings of a log; an error's class and text."""
+    named = "LOG"
+    try:
+        with logs.open(where) as log:
+            held = sorted((one.topic_id, bytes(payload)) for one in log.batches() for payload in payloads(one))
+            return log.format, held, [one.text.replace(str(where), named) for one in log.findings]
+    except BodylogError as err:
+        return type(err), str(err).replace(str(where), named)
+
+
+@pytest.mark.parametrize("kind", [_Ranges, _Whole])
+def test_logs_behind_urls_equal_the_files(kind):
+    folder = FILES[0].parent
+    names = [path.name for path in sorted(folder.iterdir()) if path.suffix != ".json"]
+    assert {"split.bag", "cut_in_chunk.mcap", "cut.bag", "packed.mcap.zst", "humble.db3", "empty.mcap"} < set(names)
+    with _serving(folder, kind) as address:
+        for name in names:
+            here, there = _read(folder / name), _read(f"{address}/{name}")
+            assert there == here, name
+        found = logs.examine(f"{address}/cut.bag")
+        assert found and all("tmp" not in one.text and f"{address}/cut.bag" in one.text for one in found)
+
+
+def test_interrupted_server_is_one_line(tmp_path, robot):
+    with _serving(robot, _Cut) as address:
+        kind, text = _read(f"{address}/reach.mcap")
+    assert kind is LogError and "100 bytes arrived where 262144 were asked for; try again" in text
+    (tmp_path / "page").mkdir()
+    with _serving(tmp_path, _Ranges) as address, pytest.raises(LogError, match=r"page without metadata\.yaml"):
+        logs.open(f"{address}/page")
+
+
 def test_estimate_of_a_url_equals_the_files(tmp_path, robot, run_cli):
     here, there = tmp_path / "here.mcap", tmp_path / "there.mcap"
     assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", here) == 0
@@ -151,6 +212,11 @@ def test_errors_about_a_fetched_log_name_its_url(tmp_path, robot, run_cli, capsy
     url = (robot / "reach.mcap").as_uri()
     assert run_cli("evaluate", url) == 65
     assert url in capsys.readouterr().err
+    url = (FILES[0].parent / "cut.bag").as_uri()
+    for form in ((), ("--json",)):
+        assert run_cli("doctor", url, *form) == 3
+        printed = capsys.readouterr().out
+        assert printed.count(url) >= 3 and "bodylog.part" not in printed
 
 
 def test_name_of_is_safe():

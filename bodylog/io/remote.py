@@ -2,13 +2,14 @@
 
 import posixpath
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from ..errors import BodylogError, LogError, UsageError
 from . import atomic_files, temporary
+from .outputs import METADATA, RECORDED
 
 _MARGIN = 256 << 20
 _BLOCK = 4 << 20
@@ -53,10 +54,13 @@ def file_behind(url: str) -> Path | None:
 
 
 def size(url: str) -> int:
-    """Bytes behind a URL; LogError if unknown or unreachable."""
+    """Bytes behind a URL, 0 for a folder; LogError if unknown or unreachable."""
     with _store_errors(url):
         store, path = _store(url)
-        found = store.info(path).get("size")
+        details = store.info(path)
+    if _is_folder(details):
+        return 0
+    found = details.get("size")
     if found is None:
         raise LogError(f"{url}: its server does not give its size; download it and give the file")
     return int(found)
@@ -101,7 +105,29 @@ def errors_about(path: Path, url: str) -> Iterator[None]:
         raise type(err)(str(err).replace(str(path), url)) from err
 
 
+def _is_folder(details: Mapping[str, Any]) -> bool:
+    """Whether a store's details are those of a folder, which a web server lists as a page."""
+    return details.get("type") == "directory" or details.get("mimetype") == "text/html"
+
+
 def _fetch(url: str, path: Path) -> Path:
+    """Copy a file, or the log files of a folder (rosbag2), to `path`."""
+    with _store_errors(url):
+        store, remote = _store(url)
+        if not _is_folder(store.info(remote)):
+            return _fetch_file(url, path)
+        entries = sorted(store.unstrip_protocol(entry) for entry in store.ls(remote, detail=False))
+    inside = [entry for entry in entries if entry.rpartition("/")[0] == url.rstrip("/")]
+    wanted = [entry for entry in inside if entry.endswith((*RECORDED, f"/{METADATA}"))]
+    if not any(entry.endswith(f"/{METADATA}") for entry in wanted):
+        raise LogError(f"{url}: a folder or page without {METADATA}, so no rosbag2 log; give the address of a log")
+    path.mkdir()
+    for entry in wanted:
+        _fetch_file(entry, path / name_of(entry))
+    return path
+
+
+def _fetch_file(url: str, path: Path) -> Path:
     import shutil
 
     wanted, free = size(url), shutil.disk_usage(path.parent).free - _MARGIN

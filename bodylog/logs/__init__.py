@@ -42,19 +42,19 @@ def read(path: str | Path, fields: Mapping[str, Sequence[str]]) -> "dict[str, Ta
 def examine(path: str | Path) -> "tuple[Finding, ...]":
     """Read a log from end to end and return everything that is wrong with it."""
     from .conversion.examination import examine
-    from .library import local_path
+    from .library import findings_about, local_path
 
     with local_path(path) as here:
-        return examine(here)
+        return findings_about(examine(here), here, path)
 
 
 def repair(path: str | Path, out: str | Path) -> "tuple[Finding, ...]":
     """Write the sound messages of a log to the MCAP `out`; return what is wrong with the log."""
     from .conversion.rewrite import repair
-    from .library import local_path
+    from .library import findings_about, local_path
 
     with local_path(path) as here:
-        return repair(here, Path(out))
+        return findings_about(repair(here, Path(out)), here, path)
 
 
 def convert(
@@ -67,10 +67,10 @@ def convert(
     writes datasets.
     """
     from .conversion.extract import convert
-    from .library import local_path
+    from .library import findings_about, local_path
 
     with local_path(path) as here:
-        return convert(here, Path(out), topics, start, end)
+        return findings_about(convert(here, Path(out), topics, start, end), here, path)
 
 
 def __getattr__(name: str) -> Any:

@@ -3,7 +3,8 @@
 import difflib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from ..errors import ConfigError, FormatError
+from ..errors import ConfigError, FormatError, LogError
 from ..io import remote
 from .decode.columns import columns_of, definition_of
 from .decode.table import Table, filled, leaf_paths, object_paths
@@ -46,7 +47,8 @@ class OpenLog:
         self.rejected: Counter[str] = Counter()
         self._open = ExitStack()
         with ExitStack() as opening:
-            self._log: Log = opening.enter_context(open_log(opening.enter_context(local_path(path)), strict))
+            self._here = opening.enter_context(local_path(path))
+            self._log: Log = opening.enter_context(open_log(self._here, strict))
             self._open = opening.pop_all()
         self.topics = self._log.topics
         self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns
@@ -59,7 +61,7 @@ class OpenLog:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Problems found so far."""
-        return self._log.findings
+        return findings_about(self._log.findings, self._here, self.path)
 
     def __getitem__(self, topic: str) -> Table:
         """The messages of a topic; fields are decoded on first use. ConfigError names the existing topics."""
@@ -71,7 +73,8 @@ class OpenLog:
         topics = {name: self._topics(name) for name in fields}
         wants = {one.id: (one, tuple(fields[name])) for name, some in topics.items() for one in some}
         light = all(path.split(".")[0] in _HEADS for some in fields.values() for path in some)
-        columns = columns_of(without_images(self._log) if light else self._log, wants)
+        with self._errors():
+            columns = columns_of(without_images(self._log) if light else self._log, wants)
         tables = {}
         for name, some in topics.items():
             own = [columns[one.id] for one in some]
@@ -81,13 +84,13 @@ class OpenLog:
 
     def batches(self, topics: Sequence[str] | None = None) -> Iterator[Batch]:
         """Undecoded messages in file order, in batches of one topic; each batch is valid until the next."""
-        return self._log.batches(None if topics is None else self._ids(topics))
+        return self._batches(None if topics is None else self._ids(topics))
 
     def messages(self, topics: Sequence[str] | None = None) -> Iterator[Message]:
         """Decoded messages in file order; `rejected` counts by topic those that cannot be decoded."""
         wanted = self.topics if topics is None else [one for name in topics for one in self._topics(name)]
         decoders = {one.id: (one.name, _decoder(one)) for one in wanted}
-        for batch in self._log.batches(tuple(decoders)):
+        for batch in self._batches(tuple(decoders)):
             name, decode = decoders[batch.topic_id]
             for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
                 try:
@@ -100,7 +103,7 @@ class OpenLog:
         from .images import messages as images
 
         decoders = {one.id: images.decoder(one) for one in self._topics(topic)}
-        for batch in self._log.batches(tuple(decoders)):
+        for batch in self._batches(tuple(decoders)):
             for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
                 decode = partial(decoders[batch.topic_id], bytes(payload))
                 yield Frame((log_ns - self.start_ns) / 1e9, log_ns, decode)
@@ -123,6 +126,14 @@ class OpenLog:
         """Path, format and topics."""
         return f"<{self.format} log {self.path}: {', '.join(topic.name for topic in self.topics)}>"
 
+    def _errors(self) -> AbstractContextManager[None]:
+        """Turns errors about the local copy of a URL into errors about the URL."""
+        return remote.errors_about(self._here, self.path) if remote.is_url(self.path) else nullcontext()
+
+    def _batches(self, ids: tuple[int, ...] | None) -> Iterator[Batch]:
+        with self._errors():
+            yield from self._log.batches(ids)
+
     def _topics(self, name: str) -> list[Topic]:
         found = [topic for topic in self.topics if topic.name == name]
         if not found:
@@ -142,9 +153,16 @@ class OpenLog:
         if topic.encoding not in _OBJECTS:
             yield from leaf_paths(definition_of(topic))
             return
-        first = next((payload for batch in self._log.batches((topic.id,)) for payload in payloads(batch)), None)
+        first = next((payload for batch in self._batches((topic.id,)) for payload in payloads(batch)), None)
         if first is not None:
             yield from object_paths(_decoder(topic)(bytes(first)))
+
+
+def findings_about(findings: Sequence[Finding], here: Path, path: str | Path) -> tuple[Finding, ...]:
+    """Findings on the local copy of a URL as findings on the URL."""
+    if not remote.is_url(str(path)):
+        return tuple(findings)
+    return tuple(replace(one, text=one.text.replace(str(here), str(path))) for one in findings)
 
 
 @contextmanager
@@ -160,11 +178,19 @@ def local_path(path: str | Path) -> Iterator[Path]:
     url = str(path)
     size = remote.size(url)
     if size and remote.read_range(url, 0, min(size, 64)).startswith(MAGIC):
-        opened = remote_map.mapped_remote(remote.name_of(url), size, partial(remote.read_range, url))
+        opened = remote_map.mapped_remote(remote.name_of(url), size, partial(_read_range, url, size))
     else:
         opened = remote.local(url, Path(gettempdir()))
     with opened as here, remote.errors_about(here, url):
         yield here
+
+
+def _read_range(url: str, size: int, start: int, end: int) -> bytes:
+    """The bytes from start to before end of a remote file of `size` bytes, or all of them; LogError for fewer."""
+    found = remote.read_range(url, start, end)
+    if len(found) not in (end - start, size):
+        raise LogError(f"{url}: {len(found)} bytes arrived where {end - start} were asked for; try again")
+    return found
 
 
 def _decoder(topic: Topic) -> Callable[[bytes], Any]:
