@@ -56,7 +56,8 @@ def _summarised(data: memoryview, summary: Summary, diagnostics: Diagnostics) ->
         if record.opcode in (op.SCHEMA, op.CHANNEL):
             survey.declare(record)
     for chunk, end in summary.chunks:
-        _scan(data, at, chunk.start, survey, diagnostics)
+        if at != chunk.start:
+            _scan(data, at, chunk.start, survey, diagnostics)
         survey.parts.append(chunk)
         at = end
     _scan(data, at, summary.start, survey, diagnostics)

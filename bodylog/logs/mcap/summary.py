@@ -18,6 +18,7 @@ from .survey import Survey
 _FOOTER = HEAD.size + 20
 _INDEX_HEAD, _INDEX_TAIL, _OFFSET = struct.Struct("<QQQQI"), struct.Struct("<QI"), struct.Struct("<HQ")
 _INDEX_SIZES = 16
+_STORED = tuple(name.encode() for name in STORED)
 
 
 class Summary(NamedTuple):
@@ -113,7 +114,7 @@ def _chunk(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
     name = at + table + _INDEX_TAIL.size
     if letters + _INDEX_SIZES > end - name:
         raise FormatError(f"byte {at}: a chunk index with a name of {letters} bytes")
-    stored = str(data[name : name + letters], "utf-8", "replace") in STORED
+    stored = data[name : name + letters] in _STORED
     return Chunk(start, length, first, last, dict(_OFFSET.iter_unpack(data[at : at + table])), True, stored), after
 
 

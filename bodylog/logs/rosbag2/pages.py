@@ -134,15 +134,15 @@ class Pages:
         if not len(window):
             return [at] * count, [at] * count
         stops = np.flatnonzero(window[0] < 0x80)[:count] + 1
-        if len(stops) < count or ((window[:, : stops[-1]] ^ window[0, : stops[-1]]) & 0x80).any():
+        if len(stops) < count or not _alike(window, int(stops[-1])):
             return self._one_by_one(at, end, count)
         if (at + stops[-1] > end).any() or max(np.diff(stops, prepend=0)) > _VARINT:
             raise FormatError("a number that goes past its page, or of nine bytes")
         values = []
         for start, stop in zip([0, *stops[:-1].tolist()], stops.tolist(), strict=True):
-            value: Array = np.zeros(len(at), np.int64)
-            for k in range(start, stop):
-                value = (value << 7) | (window[:, k] & 0x7F)
+            value = window[:, stop - 1].astype(np.int64)
+            for k in range(start, stop - 1):
+                value |= (window[:, k] & 0x7F).astype(np.int64) << 7 * (stop - 1 - k)
             values.append(value)
         return values, [at + stop for stop in stops.tolist()]
 
@@ -187,6 +187,14 @@ class Pages:
             else:
                 value[rows] = (self._number(at[rows], size) << shift) >> shift
         return value
+
+
+def _alike(window: Array, width: int) -> bool:
+    """Whether the numbers in the first `width` bytes of all rows (n,_WINDOW) end at the same bytes."""
+    mask = np.zeros(_WINDOW, np.uint8)
+    mask[:width] = 0x80
+    rows, ends = window.view(np.uint64), mask.view(np.uint64)
+    return not any(((rows[:, k] ^ rows[0, k]) & ends[k]).any() for k in range(-(-width // 8)))
 
 
 def _checked(header: list[Array], found: Array) -> tuple[Array, Array, Array]:
