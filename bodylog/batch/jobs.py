@@ -24,7 +24,10 @@ KEYS = frozenset((
 
 MOST = 100_000
 """Most names that a pattern may match, and most folders that are searched."""
-SUFFIXES = (".bag", ".bag.active", ".mcap", ".mcap.zst", ".db3", ".db3.zstd", ".hdf5", ".h5")
+SUFFIXES = (
+    ".bag", ".bag.active", ".bag.zst", ".bag.lz4", ".mcap", ".mcap.zst", ".mcap.lz4", ".db3", ".db3.zstd", ".hdf5",
+    ".h5",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

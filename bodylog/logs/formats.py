@@ -12,7 +12,7 @@ from .limits import LIMITS, Input
 from .mcap.records import MAGIC
 from .protocol import Batches, Log, Opener
 from .records import Batch
-from .storage.zstd_files import ZSTD, unpack_file
+from .storage.packed_files import is_packed, unpack_file
 
 if TYPE_CHECKING:
     from .decode.columns import Source
@@ -39,7 +39,7 @@ def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
             first = stream.read(32)
         if place != path or first.startswith(_HDF5) or first[4:8] == _MP4 or place.suffix.lower() in VIDEOS:
             return _episode(path, first, strict, limits)
-        if first.startswith(ZSTD):
+        if is_packed(first):
             return unpack_file(path, lambda inner: _opened(path, strict, inner, limits), limits, partial(_opener, path))
         return _opened(path, strict, path, limits)
     except OSError as problem:

@@ -3,8 +3,10 @@
 import json
 import os
 import sqlite3
-from contextlib import closing
+from contextlib import closing, suppress
+from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
 import zstandard
@@ -16,7 +18,7 @@ from bodylog.logs.formats import open_log, payloads
 from bodylog.logs.images.messages import decoder
 from bodylog.logs.limits import Input
 from bodylog.logs.rosbag2.folder import metadata_of
-from bodylog.logs.storage import zstd_files
+from bodylog.logs.storage import compression, packed_files
 from bodylog.recording import recording
 from bodylog.settings import Settings
 from bodylog.types import Topic
@@ -25,6 +27,7 @@ from tests.work import at_most
 
 from . import writing
 
+CONTAINERS = Path(__file__).parents[2] / "fixtures" / "containers"
 T0 = writing.T0
 KIND = "std_msgs/msg/Float64"
 JSON_JOINTS = "sensor_msgs/msg/JointState"
@@ -247,20 +250,48 @@ def test_open_reports_chunks_beyond_the_limit(tmp_path):
         assert not list(log.batches()) and "[input] max_message_mb = " in log.findings[-1].text
 
 
-def _zst(path, data):
-    path.write_bytes(zstandard.ZstdCompressor().compress(data))
+PACK = {"zst": zstandard.ZstdCompressor().compress, "lz4": lz4.frame.compress}
+
+
+def _packed(path, data):
+    path.write_bytes(PACK[path.suffix[1:]](data))
     return path
 
 
-def test_unpack_file_checks_the_first_bytes(tmp_path, monkeypatch):
-    path = _zst(tmp_path / "x.mcap.zst", b"no log" + bytes(20_000_000))
-    monkeypatch.setattr(zstd_files, "_PIECE", 1 << 10)
+@pytest.mark.parametrize("form", PACK)
+@pytest.mark.parametrize("name", ["none.mcap", "lz4.bag", "humble.db3"])
+def test_open_unpacks_whole_files(name, form, tmp_path, monkeypatch):
+    monkeypatch.setattr(packed_files, "_PIECE", 1 << 10)
+    data = (CONTAINERS / name).read_bytes()
+    whole, frames, cut, damaged = (tmp_path / f"{k}.{form}" for k in ("whole", "frames", "cut", "damaged"))
+    packed = PACK[form](data)
+    whole.write_bytes(packed)
+    frames.write_bytes(PACK[form](data[:999]) + PACK[form](data[999:]))
+    cut.write_bytes(packed[: len(packed) - 9])
+    damaged.write_bytes(packed[:4] + b"\xff" * 60)
+    with open_log(CONTAINERS / name) as log:
+        held = [one.log_ns.tolist() for one in log.batches()]
+    for path in (whole, frames):
+        with open_log(path) as log:
+            assert [one.log_ns.tolist() for one in log.batches()] == held
+    with pytest.raises(LogError, match="is damaged"):
+        open_log(damaged)
+    with suppress(LogError), open_log(cut) as log:
+        assert sum(len(one.log_ns) for one in log.batches()) <= sum(map(len, held))
+
+
+@pytest.mark.parametrize("form", PACK)
+def test_unpack_file_checks_the_first_bytes(form, tmp_path, monkeypatch):
+    path = _packed(tmp_path / f"x.mcap.{form}", b"no log" + bytes(20_000_000))
+    monkeypatch.setattr(packed_files, "_PIECE", 1 << 10)
     with pytest.raises(LogError, match=r"not a log: it begins with b'no log"):
         open_log(path, limits=Input(max_unpacked_gb=1e-3))  # otherwise refused for its size
 
 
-def test_unpack_file_refuses_logs_beyond_the_limit(tmp_path):
-    path = _zst(tmp_path / "x.mcap.zst", b"\x89MCAP0\r\n" + bytes(30_000_000))
+@pytest.mark.parametrize("form", PACK)
+def test_unpack_file_refuses_logs_beyond_the_limit(form, tmp_path, monkeypatch):
+    monkeypatch.setattr(compression, "_RATIO", 100)  # what lz4 cannot exceed
+    path = _packed(tmp_path / f"x.mcap.{form}", b"\x89MCAP0\r\n" + bytes(30_000_000))
     with pytest.raises(LogError, match=r"more than 0.01 GB.*max_unpacked_gb = 1"):
         open_log(path, limits=Input(max_unpacked_gb=0.01))
 

@@ -15,7 +15,7 @@ from ..protocol import Log, Progress, counted
 from ..records import Finding
 from ..rosbag2.folder import METADATA, members, metadata_of
 from ..storage.mmapped import check_untruncated, mapped
-from ..storage.zstd_files import ZSTD, unpack_file
+from ..storage.packed_files import is_packed, unpack_file
 from .rewrite import repair
 
 if TYPE_CHECKING:
@@ -181,5 +181,5 @@ def _check(file: Path, limits: Input) -> list[Finding]:
         return list(groups.findings())
 
     with file.open("rb") as stream:
-        packed = stream.read(4) == ZSTD
+        packed = is_packed(stream.read(4))
     return unpack_file(file, checked, limits) if packed else checked(file)

@@ -22,7 +22,7 @@ from ..mcap.records import Record, is_mcap
 from ..mcap.writer import CHUNK_BYTES, Contents, Writer
 from ..protocol import Progress, counted
 from ..records import Array, Batch, Finding, Topic
-from ..storage.zstd_files import unpack_file
+from ..storage.packed_files import is_packed, unpack_file
 from ..topic_names import PREFIX
 
 PROFILE = "ros2"
@@ -234,7 +234,9 @@ def _extras(source: Path, writer: Writer, ours: bool, limits: Input) -> list[Fin
     if source.is_dir():
         members = sorted(path for path in source.iterdir() if ".mcap" in path.suffixes)
         return [finding for member in members for finding in _extras(member, writer, ours, limits)]
-    if source.suffix in (".zst", ".zstd"):
+    with source.open("rb") as stream:
+        packed = is_packed(stream.read(4))
+    if packed:
         return unpack_file(source, lambda inner: _extras(inner, writer, ours, limits), limits)
     lost = []
     for file, head in sound_heads(source):

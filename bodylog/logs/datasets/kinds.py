@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 Opener = Callable[[Path, bool, Input], "EpisodeLog"]
 """Dataset or episode, strict, limits -> the log."""
-_RECORDED = (".db3", ".mcap", ".bag", ".zst", ".zstd", ".active")
+_RECORDED = (".db3", ".mcap", ".bag", ".zst", ".zstd", ".lz4", ".active")
 
 
 def of_folder(folder: Path) -> Opener | None:

@@ -10,7 +10,7 @@ from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Topic
 from ..storage.mmapped import advise_sequential, check_untruncated, drop_pages, ensure_local, mapped
-from ..storage.zstd_files import decompress_messages
+from ..storage.packed_files import decompress_messages
 from ..topics import Topics, span, split
 from .chunks import MESSAGE_HEAD, Chunk, LooseRecords, MessageRecords, loose_messages, messages, record_loss
 from .prefetch import unpacked_parts

@@ -15,7 +15,7 @@ from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Batch, Finding, Topic
 from ..storage.mmapped import mapped
-from ..storage.zstd_files import decompress_messages
+from ..storage.packed_files import decompress_messages
 from ..topics import Topics, normalised, span, split
 from .pages import Pages
 from .rows import DAMAGE, Block, Rows, interrupted

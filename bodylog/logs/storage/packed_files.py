@@ -1,9 +1,9 @@
-"""zstd compression of whole log files and of single messages (rosbag2)."""
+"""Compression of whole log files (zstd, lz4) and of single messages (zstd, in rosbag2)."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,50 @@ _TOGETHER = 16 << 20
 Opened = TypeVar("Opened")
 
 
+def _zstd(stream: BinaryIO) -> Iterator[bytes]:
+    """The content of a zstd file in pieces; FormatError at damage."""
+    import zstandard
+
+    reader = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
+    try:
+        while piece := reader.read(_PIECE):
+            yield piece
+    except zstandard.ZstdError as problem:
+        raise FormatError(f"zstd data is damaged: {problem}") from None
+
+
+def _lz4(stream: BinaryIO) -> Iterator[bytes]:
+    """The content of a file of lz4 frames in pieces; FormatError at damage."""
+    from lz4.frame import LZ4FrameDecompressor
+
+    unpacker: Any = LZ4FrameDecompressor()
+    packed = stream.read(_PIECE)
+    while packed or not unpacker.needs_input:
+        try:
+            piece = unpacker.decompress(packed, _PIECE)
+        except RuntimeError as problem:
+            raise FormatError(f"lz4 data is damaged: {problem}") from None
+        if piece:
+            yield piece
+        elif not packed:
+            return
+        if unpacker.eof:
+            packed, unpacker = unpacker.unused_data or stream.read(_PIECE), LZ4FrameDecompressor()
+        else:
+            packed = stream.read(_PIECE) if unpacker.needs_input else b""
+
+
+_PACKED: Mapping[bytes, tuple[str, Callable[[BinaryIO], Iterator[bytes]]]] = {
+    ZSTD: ("zstd", _zstd), b"\x04\x22\x4d\x18": ("lz4", _lz4)
+}  # fmt: skip
+"""Name of a file's compression and how to undo it, by the first bytes."""
+
+
+def is_packed(first: bytes) -> bool:
+    """Whether a file that begins with these bytes is compressed as a whole."""
+    return first[:4] in _PACKED
+
+
 def unpack_file(
     path: Path,
     use: Callable[[Path], Opened],
@@ -47,13 +91,13 @@ def unpack_file(
 
 
 def _unpack(path: Path, inner: Path, limit: int, limits: Input, check: Callable[[bytes], object]) -> None:
-    import zstandard
-
     written, packed, allowance = 0, path.stat().st_size, Allowance(path, limits)
     with path.open("rb") as stream, inner.open("wb") as target:
-        reader = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
+        form, pieces = _PACKED[stream.read(4)]
+        stream.seek(0)
+        damage = f"{form} data is damaged: nothing comes out of its {packed} bytes"
         try:
-            while piece := reader.read(_PIECE):
+            for piece in pieces(stream):
                 if not written:
                     check(piece[:_HEAD])
                 written += len(piece)
@@ -62,12 +106,10 @@ def _unpack(path: Path, inner: Path, limit: int, limits: Input, check: Callable[
                     room = f"the {max(0, limit)} bytes free in {inner.parent.parent}"
                     raise LogError(f"{path}: unpacked it takes more than {room}; name a larger folder in TMPDIR")
                 target.write(piece)
-        except zstandard.ZstdError as problem:
-            if not written:
-                raise LogError(f"{path}: zstd data is damaged: {problem}; copy it again") from None
+        except FormatError as problem:
+            damage = str(problem)
     if not written:
-        text = f"nothing comes out of its {path.stat().st_size} bytes"
-        raise LogError(f"{path}: zstd data is damaged: {text}; copy it again")
+        raise LogError(f"{path}: {damage}; copy it again")
 
 
 def decompress_messages(
