@@ -134,7 +134,7 @@ class Pages:
         if not len(window):
             return [at] * count, [at] * count
         stops = np.flatnonzero(window[0] < 0x80)[:count] + 1
-        if len(stops) < count or not _alike(window, int(stops[-1])):
+        if len(stops) < count or not _same_ends(window, int(stops[-1])):
             return self._one_by_one(at, end, count)
         if (at + stops[-1] > end).any() or max(np.diff(stops, prepend=0)) > _VARINT:
             raise FormatError("a number that goes past its page, or of nine bytes")
@@ -189,7 +189,7 @@ class Pages:
         return value
 
 
-def _alike(window: Array, width: int) -> bool:
+def _same_ends(window: Array, width: int) -> bool:
     """Whether the numbers in the first `width` bytes of all rows (n,_WINDOW) end at the same bytes."""
     mask = np.zeros(_WINDOW, np.uint8)
     mask[:width] = 0x80
