@@ -9,6 +9,7 @@ from bodylog.estimation import estimate
 from bodylog.estimation.faults.dead import silent_since
 from bodylog.estimation.faults.frozen import frozen
 from bodylog.estimation.faults.jumping import jumps, unwrapped
+from bodylog.estimation.faults.threshold import NATS
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Linear
 from tests.estimation.resting import Drawn, drawn, judged
@@ -45,6 +46,12 @@ def drift(t, y):
     y += np.clip((t - 6.0) * 0.02, 0.0, None)
 
 
+HYPOTHESES = {
+    "frozen": "encoder frozen", "dead": "encoder dead", "jumping": "encoder jumped", "drifting": "encoder offset",
+}  # fmt: skip
+"""Kinds of fault and the hypotheses that they are."""
+
+
 @pytest.mark.parametrize(
     ("change", "kind", "since", "late", "size"),
     [
@@ -63,6 +70,33 @@ def test_faulty_encoder_is_named_and_replaced(world, change, kind, since, late, 
     assert found.faults[0].size == pytest.approx(size, abs=0.02)
     error = np.sqrt(np.mean((found.joints.values - drawn.truth.values)[:, 0] ** 2))
     assert error < 0.006
+    assert chosen(found) == [(HYPOTHESES[kind], "pan")]
+
+
+def chosen(found):
+    """Hypotheses of encoders that are chosen; each one wins the threshold."""
+    won = [one for one in found.settings["hypotheses"] if one["chosen"] and one["name"].startswith("encoder")]
+    assert all(one["nats"] > one["threshold"] == NATS for one in won)
+    return [(one["name"], one["about"]) for one in won]
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_every_hypothesis_stands_in_the_settings_of_a_sound_log(world, seed):
+    drawn = world(seed, duration=10.0, encoder_std=0.01, camera_hz=20.0)
+    found = estimate(drawn.features, drawn.body, Estimation())
+    listed = [(one["name"], one["about"]) for one in found.settings["hypotheses"]]
+    kinds = ("encoder frozen", "encoder dead", "encoder jumped", "encoder offset")
+    cameras = [("camera late", "camera"), ("camera moved", "camera"), ("white jerk", "joints")]
+    joints = [(kind, joint) for kind in kinds for joint in ("pan", "lift", "elbow")]
+    assert sorted(listed) == sorted([*cameras, *joints])
+    assert not chosen(found) and all(np.isfinite(one["nats"]) for one in found.settings["hypotheses"])
+
+
+def test_encoder_step_is_weighed_against_a_wandering_offset(world):
+    drawn = world(1, duration=14.0, encoder_std=0.01, camera_hz=20.0)
+    found = estimate(spoil(drawn, step), drawn.body, Estimation())
+    nats = {one["name"]: one["nats"] for one in found.settings["hypotheses"] if one["about"] == "pan"}
+    assert chosen(found) == [("encoder step", "pan")] and nats["encoder step"] > nats["encoder offset"] > NATS
 
 
 @pytest.mark.parametrize("method", ["kalman", "predictive-coding"])

@@ -40,7 +40,7 @@ def lab(request):
 
 def believed(lab, scenario, seed, options):
     elsewhere = ELSEWHERE * (scenario in ("touch", "horizontal"))
-    run, body = lab.heard(scenario, seed + elsewhere, **options), lab.body("default", seed)
+    run, body = lab.observed(scenario, seed + elsewhere, **options), lab.body("default", seed)
     return run, estimate(run.features, body, Estimation())
 
 
@@ -94,7 +94,7 @@ def test_rubber_hand_moves_the_estimate_only_when_synchronous(lab):
     for seed in SEEDS:
         body, drift = lab.body("default", seed), {}
         for variant in ("synchronous", "asynchronous"):
-            run = lab.heard("rubber-hand", seed, duration=20.0, variant=variant, place="left")
+            run = lab.observed("rubber-hand", seed, duration=20.0, variant=variant, place="left")
             with_it, without = ours(run, body), ours(run, body, ("encoders",))
             apart = [body.senses["effector"].predict(belief.x)[0][:, 0] for belief in (with_it, without)]
             drift[variant] = float(np.abs(apart[0] - apart[1])[with_it.t > 5.0].max())

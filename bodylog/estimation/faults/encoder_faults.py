@@ -10,12 +10,13 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Fault, Finding
-from ..measurements.records import Encoders, Evidence, Sighting
+from ..measurements.records import Encoders, Evidence
 from .contract import Verdict
 from .dead import dropped_to_zero, silent_since
 from .frozen import frozen
 from .jumping import jumps, unwrapped
-from .stalled import stalled
+from .repeat_evidence import weighed
+from .stalled import Stall, stalled
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
@@ -24,20 +25,22 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
         return Verdict(evidence)
     angles = "encoders" not in body.senses
     findings = tuple(wrap_findings(evidence.encoders, body.joints)) if angles else ()
-    sound, faults = screen_encoders(evidence.encoders, body.joints, evidence.sightings if angles else (), angles)
-    return Verdict(replace(evidence, encoders=sound), faults, findings)
+    stalls = list(stalled(evidence.encoders, evidence.sightings)) if angles else []
+    sound, faults = screen_encoders(evidence.encoders, body.joints, stalls, angles)
+    hypotheses = tuple(weighed(evidence.encoders, body.joints, faults, {stall.joint: stall.nats for stall in stalls}))
+    return Verdict(replace(evidence, encoders=sound), faults, findings, hypotheses)
 
 
 def screen_encoders(
-    encoders: Encoders, names: tuple[str, ...], sightings: Sequence[Sighting] = (), angles: bool = True
+    encoders: Encoders, names: tuple[str, ...], stalls: Sequence[Stall] = (), angles: bool = True
 ) -> tuple[Encoders, tuple[Fault, ...]]:
     """Remove frozen and dead stretches, undo jumps, and return the encoders and faults (size 0 except for jumps).
 
-    An encoder that repeats exactly zero is dead from its first zero on. `sightings` show which joints moved while their
-    encoders repeated a reading. Whole turns are unwrapped only for `angles`.
+    An encoder that repeats exactly zero is dead from its first zero on. `stalls`: repeats that images contradict. Whole
+    turns are unwrapped only for `angles`.
     """
     values, found = encoders.values.copy(), list[Fault]()
-    for joint, begin, end in stalled(encoders, sightings):
+    for joint, begin, end, _ in stalls:
         kind, begin = _kind_of_repeat(values[:, joint], begin)
         values[begin:end, joint] = np.nan
         found.append(Fault("encoders", names[joint], kind, float(encoders.t[begin]), 0.0, "rad"))

@@ -1,11 +1,11 @@
 """Encoder offsets: whether the log needs one, which encoder has it, and since when it drifts."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...types import Array, Fault
+from ...types import Array, Fault, Hypothesis
 from ..inference.problem import Problem
 from ..inference.solution import Solution
 from ..measurements.records import Encoders
@@ -20,29 +20,48 @@ WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
 """rad²/s: random-walk variances tried; the last one is a constant offset, as of a joint homed differently."""
 EITHER = " or "
 """Separator between names of joints when the faulty one cannot be identified."""
+OFFSET, STEP = "encoder offset", "encoder step"
+"""Names of hypotheses."""
 SIGMAS, LEAST = 4.0, 0.01
 """An offset is a fault when it exceeds this many of its standard deviations and this many rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """A problem, its cost (nats), by joint number the joints whose offset explains nearly as much, and steps found."""
+    """A problem, its cost (nats), by joint number the joints whose offset explains nearly as much, and steps found.
+
+    hypotheses {(name, joint): with the nats won over the problem before}.
+    """
 
     problem: Problem
     nats: float
     alternatives: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
     steps: Mapping[int, Step] = field(default_factory=dict)
+    hypotheses: Mapping[tuple[str, str], Hypothesis] = field(default_factory=dict)
 
     def of(self, problem: Problem) -> "Chosen":
         """Return a copy with another problem."""
         return replace(self, problem=problem)
 
 
-def suspected_encoders(problem: Problem, solved: Solution) -> Array:
-    """Encoders (M,) bool whose offset would, to first order, explain NATS nats of the log."""
+def suspected_encoders(problem: Problem, solved: Solution) -> tuple[Array, Array]:
+    """Encoders (M,) bool whose offset would, to first order, explain NATS nats of the log, and these nats (M,)."""
     gain, offset, var = offset_score(problem, solved, WALKS[0])
     certain = _significant(offset, var, smallest_fault(problem.evidence.encoders))
-    return np.asarray((gain > NATS) & certain.any(axis=0) & (_walks(problem) == 0))
+    return np.asarray((gain > NATS) & certain.any(axis=0) & (_walks(problem) == 0)), gain
+
+
+def with_hypotheses(problem: Problem, gains: Array, chosen: "Chosen | None" = None) -> Problem:
+    """The problem with a hypothesis of an offset of each encoder: `chosen`, else with its first-order nats (M,)."""
+    if not gains.any():
+        return problem
+    evidence, exact = problem.evidence, {} if chosen is None else chosen.hypotheses
+    first = {
+        (OFFSET, name): Hypothesis(OFFSET, name, float(gain), NATS, False)
+        for name, gain in zip(evidence.joints, gains, strict=True)
+    }
+    found = (*evidence.hypotheses, *{**first, **exact}.values())
+    return replace(problem, evidence=replace(evidence, hypotheses=found))
 
 
 def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
@@ -80,9 +99,10 @@ def _added(found: Chosen, solved: Solution, suspected: Array, cost: Callable[[Pr
         asked = np.flatnonzero(suspected)
         own = [np.arange(len(drift)) == j for j in asked]
         costs = np.array([cost(with_drift(found.problem, np.where(one, WALKS[0], drift))) for one in own])
-        best = int(costs.argmin())
+        best, joints = int(costs.argmin()), found.problem.evidence.joints
+        tried = {j: found.nats - nats for j, nats in zip(asked.tolist(), costs, strict=True)}
         if costs[best] > found.nats - NATS:
-            return found
+            return replace(found, hypotheses={**found.hypotheses, **_compared(joints, tried, {}, (), None)})
         near = [int(j) for j, nats in zip(asked, costs, strict=True) if nats < costs[best] + NATS]
         # the kind of offset is chosen before a further one is tried: one that wanders too freely hides others
         ways = {j: _best_way(found.problem, j, float(costs[asked == j][0]), solved, cost) for j in near}
@@ -92,10 +112,27 @@ def _added(found: Chosen, solved: Solution, suspected: Array, cost: Callable[[Pr
         joint = min(near, key=lambda j: (_walks(ways[j].problem)[j], ways[j].nats, j))
         way, others = ways[joint], tuple(sorted(j for j in near if j != joint))
         steps = {**found.steps, joint: way} if isinstance(way, Step) else found.steps
-        found = Chosen(way.problem, way.nats, {**found.alternatives, joint: others}, steps)
+        won = {j: found.nats - one.nats for j, one in ways.items()}
+        stepping = [j for j, one in ways.items() if isinstance(one, Step)]
+        hypotheses = {**found.hypotheses, **_compared(joints, tried, won, stepping, joint)}
+        found = Chosen(way.problem, way.nats, {**found.alternatives, joint: others}, steps, hypotheses)
         # once one offset is modelled, another may show
         suspected = (_walks(found.problem) == 0) & ~np.isin(np.arange(len(drift)), list(steps))
     return found
+
+
+def _compared(
+    names: tuple[str, ...], walks: Mapping[int, float], ways: Mapping[int, float], steps: Container[int],
+    chosen: int | None,
+) -> dict[tuple[str, str], Hypothesis]:  # fmt: skip
+    """Hypotheses of an offset of each joint tried: nats won by the first of its `walks`, and by the best of its `ways`.
+
+    steps: joints whose best way is a step · chosen: the joint whose offset is chosen.
+    """
+    found = {(OFFSET, joint): (nats, False) for joint, nats in walks.items()}
+    found |= {(STEP if j in steps else OFFSET, j): (nats, j == chosen) for j, nats in ways.items()}
+    each = (Hypothesis(kind, names[j], float(nats), NATS, won) for (kind, j), (nats, won) in found.items())
+    return {(one.name, one.about): one for one in each}
 
 
 def _best_way(

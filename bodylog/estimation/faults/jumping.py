@@ -4,6 +4,7 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.long_arrays import median, median_step, rows
+from .threshold import NATS
 
 JUMP, LEAST = 12.0, 0.01
 """Smallest jump in standard deviations of the readings' steps, and in rad."""
@@ -26,19 +27,40 @@ def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
     if len(v) < 4 * LEVEL:
         return []
     steps, usual = np.diff(v), median_step(when)
-    bound = max(JUMP * _scatter(steps), LEAST)
-    # from rest to rest in a time h takes 4 s/h²
-    bound = max(bound, FASTEST * max(usual, _hold_time(steps, when)) ** 2 / 4.0)
+    bound = _largest_sound(steps, when, usual)
     far = np.flatnonzero(np.abs(steps) > bound)
     for k in far[when[far + 1] - when[far] < PAUSE * usual]:
-        before, after = v[max(0, k + 1 - LEVEL) : k + 1], v[k + 1 : k + 1 + LEVEL]
-        if len(before) < LEVEL or len(after) < LEVEL:
-            continue
-        size = _level(after[::-1]) - _level(before)
-        apart = max(float(np.abs(np.diff(before)).max()), float(np.abs(np.diff(after)).max()))
-        if abs(size) > bound and apart < abs(size) / 2:
+        if abs(size := _shift(v, int(k))) > bound:
             found.append((int(np.searchsorted(t, when[k + 1])), size))
     return found
+
+
+def jump_nats(t: Array, y: Array) -> float:
+    """Nats that a jump at the largest step of y (N,) rad at t (N,) s wins; the largest sound step would win NATS."""
+    known = rows(np.isfinite(y))
+    v, when = y[known], t[known]
+    if len(v) < 4 * LEVEL:
+        return 0.0
+    steps, usual = np.diff(v), median_step(when)
+    far = int(np.where(np.diff(when) < PAUSE * usual, np.abs(steps), 0.0).argmax())
+    return NATS * (_shift(v, far) / _largest_sound(steps, when, usual)) ** 2
+
+
+def _largest_sound(steps: Array, when: Array, usual: float) -> float:
+    """Largest step (rad) of a sound encoder, from steps (N-1,) rad at `when` (N,) s, `usual` s apart."""
+    # from rest to rest in a time h takes 4 s/h²
+    fastest = FASTEST * max(usual, _hold_time(steps, when)) ** 2 / 4.0
+    return max(JUMP * _scatter(steps), LEAST, fastest)
+
+
+def _shift(v: Array, k: int) -> float:
+    """Shift in level (rad) of readings v (N,) after the k-th; 0 if they change as much beside it, or are too few."""
+    before, after = v[max(0, k + 1 - LEVEL) : k + 1], v[k + 1 : k + 1 + LEVEL]
+    if len(before) < LEVEL or len(after) < LEVEL:
+        return 0.0
+    size = _level(after[::-1]) - _level(before)
+    apart = max(float(np.abs(np.diff(before)).max()), float(np.abs(np.diff(after)).max()))
+    return size if apart < abs(size) / 2 else 0.0
 
 
 def unwrapped(y: Array) -> Array:

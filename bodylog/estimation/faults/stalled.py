@@ -5,6 +5,7 @@ encoder is frozen if motion of its joint explains them and motion of no other jo
 """
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,24 +26,37 @@ LEFT = 0.2
 """Largest unexplained share of the explained nats."""
 
 
-def stalled(encoders: Encoders, sightings: Sequence[Sighting]) -> Iterator[tuple[int, int, int]]:
-    """Yield each joint and stretch [begin, end) of its readings that images contradict, the first reading excluded."""
+class Stall(NamedTuple):
+    """A joint's readings [begin, end) during which it moved, and the nats that its motion wins."""
+
+    joint: int
+    begin: int
+    end: int
+    nats: float
+
+
+def stalled(encoders: Encoders, sightings: Sequence[Sighting]) -> Iterator[Stall]:
+    """Yield the repeats that images contradict; the first of the repeated readings is sound."""
     images = [s for s in sightings if s.name != "touch"]
     if not images or encoders.values.shape[1] == 0 or not np.isfinite(encoders.values).any(axis=0).all():
         return
     for joint, column in enumerate(encoders.values.T):
         for begin, end in repeats(encoders.t, column):
             windows = spans(encoders.t[begin : end - 1], SPAN)
-            if any(_moved(encoders, joint, s, w, min(w + SPAN, encoders.t[end - 1])) for w in windows for s in images):
-                yield joint, begin + 1, end
+            ends = [min(window + SPAN, encoders.t[end - 1]) for window in windows]
+            won = [_moved(encoders, joint, s, *each) for each in zip(windows, ends, strict=True) for s in images]
+            if (nats := max(won, default=0.0)) > NATS:
+                yield Stall(joint, begin + 1, end, nats)
 
 
-def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end: float) -> bool:
-    """Whether images from begin to end (s) require motion of this joint alone, beyond its encoder's step."""
+def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end: float) -> float:
+    """Nats that motion of this joint alone wins in images from begin to end (s); 0 if it leaves much unexplained, or is
+    less than the encoder's step.
+    """
     rows = seen(sighting.values) & (sighting.t > begin) & (sighting.t <= end)
     parts = [p for p in _parts(sighting.t[rows], begin) if len(p) >= FEWEST]
     if len(parts) < 2:
-        return False
+        return 0.0
     x = np.stack([_interpolated(encoders, column, sighting.t[rows]) for column in encoders.values.T], axis=1)
     y, var = sighting.values[rows], sighting.var[rows]
     middle = np.stack([np.median(x[p], axis=0) for p in parts])
@@ -57,7 +71,8 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     least = max(LEAST, 2.0 * step_size(encoders.values[np.isfinite(encoders.values[:, joint]), joint]))
     beside = max(others, default=0.0)
     # better than rest, and better than motion of any other joint
-    return gain - len(parts) > NATS and gain - beside > NATS and left < LEFT * gain + len(parts) and apart > least
+    won = min(gain - len(parts), gain - beside)
+    return won if left < LEFT * gain + len(parts) and apart > least else 0.0
 
 
 def _explained(

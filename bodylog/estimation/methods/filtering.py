@@ -124,32 +124,33 @@ def settled(
     if settings.bias != "auto" or problem.evidence.encoders is None:
         return problem, solved
     chosen = offset(problem, solved)
-    if chosen is None:
-        return problem, solved
+    if chosen.precision is problem.precision and chosen.evidence.encoders is problem.evidence.encoders:
+        return chosen, solved
     chosen, begin = retuned(chosen, settings)
     return chosen, sure(chosen, begin)
 
 
-def offset(problem: Problem, solved: Solution) -> Problem | None:
-    """The problem with offsets, or None if the log has none.
+def offset(problem: Problem, solved: Solution) -> Problem:
+    """The problem with the offsets that the log has, and the hypotheses compared.
 
     A smoother's process variance makes its forward pass lag, which looks like offsets, so the filter's is used here.
     """
-    suspected, likeliest = encoder_offset.suspected_encoders(problem, solved), problem.precision.likeliest
+    plain, likeliest = problem, problem.precision.likeliest
+    suspected, gains = encoder_offset.suspected_encoders(problem, solved)
     if suspected.any() and likeliest is not None:
         problem = replace(problem, precision=replace(problem.precision, process=likeliest, fewer={}))
         try:
             solved = walk(problem) if problem.stepwise else solve(problem, solved, rest=ROUGHLY)
         except DidNotConverge:
             solved = walk(problem)
-        suspected = encoder_offset.suspected_encoders(problem, solved)
+        suspected, gains = encoder_offset.suspected_encoders(problem, solved)
     if not suspected.any():
-        return None
+        return encoder_offset.with_hypotheses(plain, gains)
     chosen = encoder_offset.choose(problem, solved, suspected, partial(cost, warm=solved))
     if chosen.problem is problem:
-        return None
+        return encoder_offset.with_hypotheses(plain, gains, chosen)
     names = {joint: others for joint, others in chosen.alternatives.items() if others}
-    return replace(chosen.problem, alternatives=names)
+    return encoder_offset.with_hypotheses(replace(chosen.problem, alternatives=names), gains, chosen)
 
 
 def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
