@@ -112,6 +112,27 @@ def test_error_bars_are_true_and_the_gap_is_no_exception(world):
     assert 0.7 < np.mean(hidden) < 1.4
 
 
+@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
+@pytest.mark.parametrize("sense", ["encoders", "image"])
+def test_evidence_falls_with_an_outliers_distance(world, method, sense):
+    drawn, costs = world(2, duration=6.0), []
+    joints, track = drawn.features.joints, drawn.features.tracks["effector"]
+    at = {"encoders": joints.t[150], "image": track.t[len(track.t) // 2]}[sense]
+    for far in (0.0, 2.0, 5.0, 5.5, 7.0, 10.0, 18.0, 40.0, 200.0):
+        angles, places = joints.values.copy(), track.values.copy()
+        if sense == "encoders":
+            angles[150, 1] += far * 0.02
+        else:
+            places[len(places) // 2] += far * np.array([2.0, -1.0])
+        features = replace(
+            drawn.features, joints=replace(joints, values=angles), tracks={"effector": replace(track, values=places)}
+        )
+        found = estimate(features, drawn.body, replace(MODEL, method=method))
+        costs.append(found.free_energy[np.searchsorted(found.joints.t, at)])
+    rises = np.diff(costs)
+    assert (rises > 0.0).all() and rises[-1] < 1.0 and 10.0 < sum(rises) < 20.0
+
+
 def test_vision_alone_replaces_a_silent_encoder(world):
     drawn = world(3)
     found = estimate(drawn.features, drawn.body, Estimation(senses=("pan", "elbow", "vision")))

@@ -18,6 +18,8 @@ MANY = 0.6
 """Share of stretches above which all are updated in place instead of copying some out and back."""
 GATE = 5.0
 """Standard deviations: a larger innovation d has its noise inflated so that its weight falls as (GATE/d)⁴."""
+FLAT = 1.0
+"""Nats from the gate's ½ GATE² to an outlier's cost anywhere: one in a hundred in an image of 320×240 px costs 14."""
 
 
 class AdjointRecord(NamedTuple):
@@ -52,21 +54,23 @@ class Rows(NamedTuple):
 
 def update(
     readings: "Readings", measured: tuple[Rows, Rows], i: int, seen: Array, dynamics: "Dynamics", belief: Array,
-    encoder_d: Array, back: AdjointRecord,
+    encoder_d: Array, back: AdjointRecord, more: Array,
 ) -> None:  # fmt: skip
     """Condition the belief in place on all measurements of instant i; tracks only in the stretches `seen`.
 
-    Noise is gated by the prior, so the result does not depend on the order. `measured`: encoders and tracks.
+    Noise is gated by the prior, so the result does not depend on the order. `measured`: encoders and tracks. more (C,)
+    receives `outlier_cost`.
     """
     encoders, tracks = measured
     m, projected = encoders.y.shape[1], encoders.at(i)
     spoken = bool(projected.present.any())
     if spoken:
         var, encoder_d[:] = _gated_encoders(readings.encoders[i], projected.var, dynamics, belief)
+        more += outlier_cost(encoder_d * encoder_d).sum(axis=0)
     else:
         encoder_d[:] = np.nan
     if len(seen):
-        _condition_tracks(tracks, readings.jac, i, seen, belief, back.at(slice(m, m + 2 * tracks.y.shape[1])))
+        _condition_tracks(tracks, readings.jac, i, seen, belief, back.at(slice(m, m + 2 * tracks.y.shape[1])), more)
     if spoken:
         _condition_encoders(projected._replace(var=var), belief, back.at(slice(m)), dynamics.offset)
 
@@ -138,27 +142,29 @@ def _move(move: Array, shift: Array, noise: Array, belief: Array) -> None:
     np.add(half[:, :, -1], shift, out=belief[:, -1].reshape(states, m, c))
 
 
-def _condition_tracks(measured: Rows, jac: Array, i: int, seen: Array, belief: Array, back: AdjointRecord) -> None:
+def _condition_tracks(
+    measured: Rows, jac: Array, i: int, seen: Array, belief: Array, back: AdjointRecord, more: Array
+) -> None:  # fmt: skip
     """Condition the belief in place on the tracks' rows of instant i, in the stretches `seen` only if these are few."""
     if len(seen) > MANY * belief.shape[-1]:
-        _condition_track_rows(measured.at(i), jac[i], belief, back)
+        more += _condition_track_rows(measured.at(i), jac[i], belief, back)
         return
     some, rows = belief.take(seen, axis=-1), len(back.nus)
     part = AdjointRecord(
         None if back.gains is None else np.empty((rows, *some[:, -1].shape)), *np.empty((2, rows, len(seen)))
     )
-    _condition_track_rows(measured.at(i, seen), jac[i].take(seen, axis=-1), some, part)
+    more[seen] += _condition_track_rows(measured.at(i, seen), jac[i].take(seen, axis=-1), some, part)
     belief[..., seen] = some
     for whole, found in zip(back, part, strict=True):
         if whole is not None:
             whole[..., seen] = found
 
 
-def _condition_track_rows(measured: Rows, jac: Array, belief: Array, back: AdjointRecord) -> None:
-    """Condition the belief in place on tracks' rows (T,2,C), jac (T,2,M,C), all gated by the prior."""
+def _condition_track_rows(measured: Rows, jac: Array, belief: Array, back: AdjointRecord) -> Array:
+    """Condition the belief in place on tracks' rows (T,2,C), jac (T,2,M,C), gated by the prior; `outlier_cost` (C,)."""
     predicted = [_project(h, belief) for h in jac]
     own = [_gated(*projected, *rows) for projected, *rows in zip(predicted, *measured, strict=True)]
-    for t, (h, y, present, var) in enumerate(zip(jac, measured.y, measured.present, own, strict=True)):
+    for t, (h, y, present, (var, _)) in enumerate(zip(jac, measured.y, measured.present, own, strict=True)):
         # earlier tracks have moved the belief
         ph, s = predicted[0] if t == 0 else _project(h, belief)
         rows = back.at(slice(2 * t, 2 * t + 2))
@@ -171,6 +177,7 @@ def _condition_track_rows(measured: Rows, jac: Array, belief: Array, back: Adjoi
         np.negative(ph[:, -1], out=rows.nus)
         gains = np.multiply(ph[:, :-1], rows.weights[:, None], out=rows.gains)
         belief -= np.einsum("dkc,dlc->klc", gains, ph)
+    return np.asarray(sum(cost for _, cost in own))
 
 
 def _project(h: Array, belief: Array) -> tuple[Array, Array]:
@@ -180,12 +187,22 @@ def _project(h: Array, belief: Array) -> tuple[Array, Array]:
     return projected, np.einsum("emc,dmc->dec", h, projected[:, :m])
 
 
-def _gated(projected: Array, s: Array, y: Array, var: Array, present: Array) -> Array:
-    """Gated variances (2,C) of a track's rows; projected (2,K+1,C) and s (2,2,C) are by the prior."""
+def _gated(projected: Array, s: Array, y: Array, var: Array, present: Array) -> tuple[Array, Array]:
+    """Gated variances (2,C) and `outlier_cost` (C,) of a track; projected (2,K+1,C) and s (2,2,C) are by the prior."""
     total, nu = np.einsum("ddc->dc", s) + var, (y - projected[:, -1]) * present
-    share = s[0, 1] / total[0]
-    rest = nu[1] - share * nu[0]
-    return raised(var, total, nu[0] * nu[0] / total[0] + rest * rest / (total[1] - share * s[0, 1]))
+    d2, size = _square(nu, total, s[0, 1])
+    inflated = raised(var, total, d2)
+    if inflated is var:
+        return var, np.zeros(d2.shape)
+    square, whole = _square(nu, total + (inflated - var), s[0, 1])
+    return inflated, outlier_cost(d2, square, np.log(whole / size))
+
+
+def _square(nu: Array, total: Array, cross: Array) -> tuple[Array, Array]:
+    """Square of innovations nu (2,C) over variances total (2,C) and covariance (C,); the determinant (C,)."""
+    share = cross / total[0]
+    rest, own = nu[1] - share * nu[0], total[1] - share * cross
+    return nu[0] * nu[0] / total[0] + rest * rest / own, total[0] * own
 
 
 def _gated_encoders(y: Array, var: Array, dynamics: "Dynamics", belief: Array) -> tuple[Array, Array]:
@@ -206,3 +223,19 @@ def raised(var: Array, total: Array, d2: Array) -> Array:
     """Noise `var` for innovations of variance `total`, inflated by (d/GATE)⁴ − 1 totals outside the gate."""
     over = d2 > GATE * GATE
     return var + total * np.where(over, (d2 / (GATE * GATE)) ** 2 - 1.0, 0.0) if over.any() else var
+
+
+def outlier_cost(d2: Array, inflated: Array | None = None, logs: Array | None = None) -> Array:
+    """Nats that innovations of squares d2 cost beyond a Gaussian of the inflated noise; 0 inside the gate.
+
+    The whole cost is that of a density that hardly falls any more outside the gate: it grows with distance. inflated:
+    their squares with the inflated noise · logs: logarithm of the ratio of the variances' determinants. Both follow
+    from d2 for single readings.
+    """
+    over = d2 / (GATE * GATE)
+    if not (over > 1.0).any():
+        return np.zeros(over.shape)
+    over = np.fmax(over, 1.0)
+    own = GATE * GATE / over if inflated is None else inflated
+    cost = 0.5 * GATE * GATE + FLAT * (1.0 - 1.0 / over) - 0.5 * own - (np.log(over) if logs is None else 0.5 * logs)
+    return np.where(over > 1.0, cost, 0.0)

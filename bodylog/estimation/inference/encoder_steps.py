@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...types import Array
-from .conditioning import GATE
+from .conditioning import FLAT, GATE
 from .filter_records import Dynamics
 from .motion import SPREADS
 
@@ -54,7 +54,7 @@ class EncoderSteps:
         ArithmeticError where a variance is not above 0.
         """
         noise, d = self._gated(belief, readings)
-        nats, first = 0.0, self._offsets
+        nats, first = 2.0 * self._outliers(d), self._offsets
         for j, reading in enumerate(readings):
             if reading == reading:
                 # covariance of the state with what the encoder reads, and the prediction less the reading
@@ -79,6 +79,11 @@ class EncoderSteps:
                 if (over := d[j] * d[j] / (GATE * GATE)) > 1.0:
                     noise[j] += s * (over * over - 1.0)
         return noise, d
+
+    def _outliers(self, d: list[float]) -> float:
+        """`outlier_cost` of innovations d (M)."""
+        overs = (x * x / (GATE * GATE) for x in d)
+        return sum((0.5 * GATE * GATE + FLAT) * (1.0 - 1.0 / over) - math.log(over) for over in overs if over > 1.0)
 
 
 def even(belief: Array) -> None:

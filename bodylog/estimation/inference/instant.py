@@ -11,7 +11,7 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
-from .conditioning import GATE
+from .conditioning import GATE, outlier_cost
 from .filter_records import Dynamics
 from .motion import SPREADS
 
@@ -77,7 +77,7 @@ class Motion:
 class Line(NamedTuple):
     """A track linearised to D rows: y (D,) = jac (D,M) x with independent variances var (D,).
 
-    nats: log determinant of the whitening of correlated rows · memory of the track.
+    nats: log determinant of the whitening of correlated rows, and the outlier's cost · memory of the track.
     """
 
     y: Array
@@ -104,9 +104,9 @@ def hear(
     `resting` (rad): tolerance on the linearisation point · adrift: use a statistical linearisation, not a tangent.
     """
     encoder_var, encoder_d = _gated_encoders(motion, z, p, encoders, encoder_var)
-    given = _encoders(motion, z, p, encoders, encoder_var)
+    given, more = _encoders(motion, z, p, encoders, encoder_var), float(outlier_cost(encoder_d * encoder_d).sum())
     if not sights:
-        return StepResult(*given, given[0][: motion.joints], encoder_d, (), ())
+        return StepResult(*given[:2], given[2] + more, given[0][: motion.joints], encoder_d, (), ())
     whole, errors = _statistical_linearisation(motion.joints, (z, p), given[:2], sights) if adrift else (None, ())
     if whole is None:
         lines, errors = _rested(motion.joints, (z, p), given[:2], sights, resting)
@@ -116,7 +116,7 @@ def hear(
     z, p, seen = _seen(z, p, lines)
     z, p, nats = _encoders(motion, z, p, encoders, encoder_var)
     memories = tuple(line.memory for line in lines.tracks)
-    return StepResult(z, p, seen + nats, lines.point, encoder_d, errors, memories, whole)
+    return StepResult(z, p, seen + nats + more, lines.point, encoder_d, errors, memories, whole)
 
 
 def _gated_encoders(motion: Motion, z: Array, p: Array, readings: Array, var: Array) -> tuple[Array, Array]:
@@ -239,11 +239,16 @@ def _gated(line: Line, x: Array, cov: Array) -> Line:
         d2 = (c * u * u - 2.0 * b * u * v + a * v * v) / (a * c - b * b)
         more = [a, c]
     else:
-        own = np.einsum("dd->d", total)
-        own += line.var
-        d2, more = float(nu @ np.linalg.solve(total, nu)), own.tolist()
+        whole = total + np.diag(line.var)
+        d2, more = float(nu @ np.linalg.solve(whole, nu)), np.diagonal(whole).tolist()
     over = d2 / (GATE * GATE)
-    return line if not over > 1.0 else line._replace(var=line.var + (over * over - 1.0) * np.array(more))
+    if not over > 1.0:
+        return line
+    var = line.var + (over * over - 1.0) * np.array(more)
+    before, after = total + np.diag(line.var), total + np.diag(var)
+    logs = np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]
+    cost = outlier_cost(np.array(d2), nu @ np.linalg.solve(after, nu), logs)
+    return line._replace(var=var, nats=line.nats + float(cost))
 
 
 def _pulled(x: Array, cov: Array, lines: Sequence[Line]) -> Array:

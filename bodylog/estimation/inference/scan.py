@@ -51,7 +51,7 @@ def scan(
     belief[:, :-1], belief[:, -1] = p, z
     p, z = belief[:, :-1], belief[:, -1]
     length, m, c = readings.encoders.shape
-    order, offset = dynamics.order, dynamics.offset
+    order, offset, more = dynamics.order, dynamics.offset, np.zeros((length, c))
     trace, kept, errors = into or _empty(readings, len(z), remember, every), slice(None, None, every), np.empty((m, c))
     propagate = propagator(belief, dynamics)
     measured = Rows.of(readings.encoders, readings.encoder_var), Rows.of(readings.y, readings.var)
@@ -71,10 +71,10 @@ def scan(
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m, kept], p[:m, :m, kept]
-        update(readings, measured, i, seen[i], dynamics, belief, errors, back.at(i))
+        update(readings, measured, i, seen[i], dynamics, belief, errors, back.at(i), more[i])
         trace.z[i], trace.p[i], trace.encoder_d[i] = z[:, kept], p[..., kept], errors[:, kept]
     own = np.ones(m, bool) if dynamics.is_prior is None else ~dynamics.is_prior
-    trace.nats[:] = _nats(back, own)
+    trace.nats[:] = _nats(back, own) + more
     if isinstance(readings, KnotReadings):
         trace.nats[:] += _nats(leaps, np.tile(own, order)) + readings.pooled.nats
     return trace
