@@ -68,7 +68,7 @@ def _examined(log: Path, body: BodyModel | None, settings: Settings) -> Examined
         same_size(log, body, features, settings)
         found, unclear = correction.measured_delays(timely, body), {}
     by = "learned from this log" if body is None else "given"
-    some = (*_findings(found, expected, by), *_unmeasured(names, found, unclear, expected))
+    some = (*_findings(found, expected, by), *_unmeasured(names, found, unclear, expected, body is None))
     texts = [replace(one, text=f"{log}: {one.text}") for one in some]
     return Examined(tuple(_scores(found, expected)), tuple(texts))
 
@@ -102,18 +102,20 @@ def _findings(found: "Mapping[str, Delay]", expected: Mapping[str, float], by: s
 
 
 def _unmeasured(
-    names: tuple[str, ...], found: "Mapping[str, Delay]", unclear: "Mapping[str, Delay]", expected: Mapping[str, float]
-) -> Iterator[Finding]:
-    """Information on each camera without a delay."""
+    names: tuple[str, ...], found: "Mapping[str, Delay]", unclear: "Mapping[str, Delay]",
+    expected: Mapping[str, float], alone: bool,
+) -> Iterator[Finding]:  # fmt: skip
+    """Information on each camera without a delay; `alone`: there was no body."""
     from .estimation.timing import correction
 
+    advice = "; with a body: bodylog doctor LOG --body BODY.npz" if alone else ""
     for name in (name for name in names if name not in found):
+        why = "its images and the joints move too little, or not together"
         if name in unclear:
-            text = correction.worded(expected.get(name, 0.0) + unclear[name].seconds, unclear[name].std_error)
+            late = expected.get(name, 0.0) + unclear[name].seconds
+            text = correction.worded(late, unclear[name].std_error)
             why = f"perhaps {text}, but the body is no better with that"
-        else:
-            why = "its images and the joints move too little, or not together"
-        yield Finding("info", f"{name}: delay not measured: {why}; with a body: bodylog doctor LOG --body BODY.npz")
+        yield Finding("info", f"{name}: delay not measured: {why}{advice}")
 
 
 def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Recording, Features]:
