@@ -74,6 +74,15 @@ def test_moved_camera_is_absent_in_logs_without_one(moves, seed):
         assert not cameras(features, world.body)
 
 
+@pytest.mark.parametrize("seed", seeds(2, 10))
+def test_encoders_that_are_wrong_at_first_move_no_camera(seed):
+    world = drawn(500 + seed, Drawn("rest", noise=0.02))
+    joints = world.features.joints
+    off = np.random.default_rng(seed).choice([-0.15, 0.15], 3)
+    values = joints.values + np.outer(joints.t < 0.5, off)
+    assert not cameras(replace(world.features, joints=replace(joints, values=values)), world.body)
+
+
 def test_moved_camera_is_named_among_two():
     world = drawn(102, Drawn("reach", noise=0.01))
     names = ("effector", "side/effector")

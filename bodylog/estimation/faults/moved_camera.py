@@ -186,7 +186,7 @@ def _residuals(rows: _Rows, moves: list[Displacement]) -> Array:
 
 
 def _gain_over_encoders(rows: _Rows, cov: Array, moves: list[Displacement]) -> float:
-    """Nats won against the best alternative: all encoders wander, one wanders far, or one steps.
+    """Nats won against the best alternative: encoders wander, one wanders far, steps, or all err at first.
 
     −∞ where residuals exceed the noise: the model is not linear over a large offset. A step of one encoder is as simple
     as one displacement, so it is compared with the first displacement alone.
@@ -197,10 +197,12 @@ def _gain_over_encoders(rows: _Rows, cov: Array, moves: list[Displacement]) -> f
         return -np.inf
     wander = [_offset_covariance(rows, rows.jac, OFFSET, walk) for walk in WALKS]
     wander += [_offset_covariance(rows, rows.jac[:, joint, None], FAR, FAST) for joint in joints]
-    moved = none - sum(one.nats for one in moves)
+    # each given those before it: given those after it, too, displacements that cancel win twice
+    moved = none - sum(_best_displacement(rows, cov, moves[:k]).nats for k in range(len(moves)))
     one = none - moves[0].nats if len(moves) == 1 else none - _best_displacement(rows, cov, []).nats
     steps = min(_best_step(rows, cov, rows.jac[:, joint, None], FAR)[0].nats for joint in joints)
-    return min(steps - one, min(_cost(rows.r, cov + more) for more in wander) - moved)
+    settled = _best_step(rows, cov, rows.jac, FAR, until=True)[0].nats
+    return min(steps - one, settled - moved, min(_cost(rows.r, cov + more) for more in wander) - moved)
 
 
 def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
@@ -244,14 +246,16 @@ def _offset_covariance(rows: _Rows, leans: Array, offset: float, walk: float) ->
     return np.asarray((leans @ leans.T) * (offset**2 + walk * np.minimum.outer(since, since)))
 
 
-def _best_step(rows: _Rows, cov: Array, basis: Array, wide: float) -> tuple[Displacement, float]:
+def _best_step(
+    rows: _Rows, cov: Array, basis: Array, wide: float, until: bool = False
+) -> tuple[Displacement, float]:  # fmt: skip
     """The most likely step along a basis (R,D), with D ~ N(0, wide²), and its time; the cost (nats) without one.
 
-    Its `nats` is the cost, −ln p of all rows, averaged over all times of a step.
+    Its `nats` is the cost, −ln p of all rows, averaged over all times of a step. `until`: it is undone at its time.
     """
     times, d = np.unique(rows.t), basis.shape[1]
     chol = np.linalg.cholesky(cov)
-    steps = basis[:, :, None] * (rows.t[:, None] >= times)[:, None, :]
+    steps = basis[:, :, None] * ((rows.t[:, None] >= times) != until)[:, None, :]
     white = forward_substituted(chol, np.column_stack([rows.r, steps.reshape(len(rows.t), -1)]))
     r, s = white[:, 0], white[:, 1:].reshape(len(rows.t), d, len(times))
     info = np.einsum("rdk,rek->kde", s, s) + np.eye(d) / wide**2
