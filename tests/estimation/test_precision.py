@@ -147,3 +147,17 @@ def _until(track, t):
     rows = track.t <= t
     std = None if track.std is None else track.std[rows]
     return replace(track, t=track.t[rows], values=track.values[rows], source_ns=track.source_ns[rows], std=std)
+
+
+def test_evidence_does_not_depend_on_the_stretches(monkeypatch):
+    t = np.arange(0.0, 30.0, 0.01)
+    slow = 0.1 * np.sin(0.8 * t + 1.0) + np.random.default_rng(0).normal(0.0, 0.01, len(t))
+
+    def jerk_wins():
+        noise, process, jerk = encoder_noise.likeliest([(t, slow)], 3)
+        return np.array([jerk[0] - encoder_noise.likeliest([(t, slow)], 2)[2][0], np.log(noise[0]), np.log(process[0])])
+
+    stretched = jerk_wins()
+    monkeypatch.setattr(encoder_noise, "STRETCH", len(t))
+    # a vague start of each stretch would cost tens of nats
+    assert (np.abs(stretched - jerk_wins()) < [2.0, 2e-3, 0.1]).all() and stretched[0] > 0.0

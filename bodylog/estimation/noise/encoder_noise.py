@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
-from ..inference.folds import Fold
 from ..measurements.long_arrays import median, median_step
 from ..measurements.records import Encoders
-from .encoder_evidence import evidence
+from .encoder_evidence import WARM, evidence
 from .quantisation import dithered, shared_variance
 from .sudden_motion import followed
 
@@ -24,8 +23,8 @@ SPACING = 0.01
 """s: closer readings are averaged, because a short stretch shows no acceleration."""
 MOST = 6000
 """Most averages used, from the middle of the log: more would not sharpen two numbers per joint."""
-STRETCH = 512
-"""Averages per stretch, all stretches being filtered in parallel; short stretches cannot show slow motion."""
+STRETCH = 256
+"""Averages per stretch, all stretches being filtered in parallel."""
 FEWEST = 30
 """Readings of a joint that are too few to learn its noise."""
 BREAK = 10.0
@@ -155,7 +154,10 @@ def _averaged(t: Array, y: Array, fellows: int) -> tuple[Array, Array, Array]:
 
 
 def _side_by_side(series: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
-    """Time steps, readings (NaN after the last) and restarts, folded: (L,M,C) each."""
+    """Time steps, readings (NaN after the last) and restarts, folded: (L,M,C) each.
+
+    Each stretch starts with the last WARM averages of the one before.
+    """
     most = max(len(t) for t, *_ in series)
     dt, y, fresh = (
         np.zeros((most, len(series))),
@@ -165,8 +167,11 @@ def _side_by_side(series: list[tuple[Array, Array, Array]]) -> tuple[Array, Arra
     for joint, (t, column, breaks) in enumerate(series):
         rows = slice(len(t)), joint
         dt[rows], y[rows], fresh[rows] = np.diff(t, prepend=t[0]), column, breaks
-    fold = Fold(most, STRETCH, -(-most // STRETCH))
-    return fold.fold(dt, 0.0), fold.fold(y, np.nan), fold.fold(fresh, 0.0) > 0
+    stretches = max(1, -(-(most - WARM) // STRETCH))
+    at = np.arange(WARM + STRETCH)[:, None] + STRETCH * np.arange(stretches)
+    after = (at >= most)[:, None]
+    dt, y, fresh = (part[np.minimum(at, most - 1)].swapaxes(1, 2) for part in (dt, y, fresh))
+    return np.where(after, 0.0, dt), np.where(after, np.nan, y), fresh & ~after
 
 
 def _breaks(t: Array, y: Array) -> Array:
