@@ -12,7 +12,7 @@ from ..measurements.records import Encoders
 from ..noise.quantisation import step_size
 from .offset_score import offset_score
 from .offset_step import Step, free_energy, likeliest_step
-from .threshold import NATS
+from .threshold import LEAST, NATS, SIGMAS
 
 MOST = 2000
 """Most instants used for the size of a fault."""
@@ -22,8 +22,6 @@ EITHER = " or "
 """Separator between names of joints when the faulty one cannot be identified."""
 OFFSET, STEP = "encoder offset", "encoder step"
 """Names of hypotheses."""
-SIGMAS, LEAST = 4.0, 0.01
-"""An offset is a fault when it exceeds this many of its standard deviations and this many rad."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,13 +1,15 @@
 """Jumping encoders, found in their own readings: the level shifts faster than a joint can move."""
 
+from math import tau
+
 import numpy as np
 
 from ...types import Array
 from ..measurements.long_arrays import median, median_step, rows
-from .threshold import NATS
+from .threshold import LEAST, NATS
 
-JUMP, LEAST = 12.0, 0.01
-"""Smallest jump in standard deviations of the readings' steps, and in rad."""
+JUMP = 12.0
+"""Smallest jump in standard deviations of the readings' steps."""
 LEVEL = 5
 """Readings on each side of a jump that give its size."""
 PAUSE = 3.0
@@ -16,7 +18,7 @@ FASTEST = 1000.0
 """rad/s²: largest acceleration of a joint; the fastest parallel robots reach a third of it at 1 m (15 g at 0.5 m)."""
 HELD, OFTEN = 0.1, 3
 """s: longest time for which a driver may hold a reading, and steps needed to recognise that it does."""
-TURN, BESIDE = 2.0 * np.pi, 0.5
+BESIDE = 0.5
 """rad: a shift within BESIDE of a whole turn is a wrapped angle, not a fault."""
 
 
@@ -65,13 +67,13 @@ def _shift(v: Array, k: int) -> float:
 
 def unwrapped(y: Array) -> Array:
     """Return readings y (N,) rad, NaN where missing, with whole turns between neighbours removed."""
-    if not np.fmax.reduce(y, initial=-np.inf) - np.fmin.reduce(y, initial=np.inf) > TURN - BESIDE:
+    if not np.fmax.reduce(y, initial=-np.inf) - np.fmin.reduce(y, initial=np.inf) > tau - BESIDE:
         return y
     known = np.isfinite(y)
     steps = np.diff(y[known], prepend=y[known][:1])
-    whole = np.abs(np.abs(steps) - TURN) < BESIDE
+    whole = np.abs(np.abs(steps) - tau) < BESIDE
     found = y.copy()
-    found[known] -= np.cumsum(np.where(whole, np.sign(steps) * TURN, 0.0))
+    found[known] -= np.cumsum(np.where(whole, np.sign(steps) * tau, 0.0))
     return found
 
 

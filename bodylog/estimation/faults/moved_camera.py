@@ -15,11 +15,14 @@ import numpy as np
 from ...body_model import BodyModel, ForwardModel
 from ...linear_algebra import forward_substituted
 from ...types import Array, Fault, Hypothesis
+from ..inference.conditioning import GATE
+from ..inference.initial_path import OFFSET_STD
 from ..measurements.gather import camera
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.track_curve import Curve, interpolated, track_curve
 from .contract import Verdict
-from .threshold import NATS
+from .encoder_offset import WALKS
+from .threshold import FAR, NATS
 
 PIXELS = ("u", "v")
 """Outputs of a track in the image."""
@@ -27,14 +30,12 @@ SIZE = 30.0
 """px: prior standard deviation of a camera's displacement."""
 MOST = 160
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
-OFFSET, LASTING, WALKS = 0.01, 1e-7, (1e-4, 1e-3)
-"""rad: prior std of encoder offsets · rad²/s: random walk of sound encoders, and of drifting ones."""
-FAR, FAST = 0.3, 1e-2
-"""rad, rad²/s: the same for one faulty encoder."""
+FAST = 1e-2
+"""rad²/s: random walk of one faulty encoder."""
 LATE = 2e-3
 """s: std of the delay left after correction."""
-GATE, BESIDE = 5.0, 5
-"""Standard deviations beyond which a row counts less, as in the filter, and the width of its median window."""
+BESIDE = 5
+"""Rows of the median beside which a row that is far off counts less, as in the filter."""
 POOR = 4.0
 """Largest mean square of whitened residuals after the displacements; 1 where all noise is as stated."""
 MOVES = 3
@@ -195,7 +196,7 @@ def _gain_over_encoders(rows: _Rows, cov: Array, moves: list[Displacement]) -> f
     white = forward_substituted(np.linalg.cholesky(cov), _residuals(rows, moves)[:, None])
     if np.square(white).sum() > POOR * len(white):
         return -np.inf
-    wander = [_offset_covariance(rows, rows.jac, OFFSET, walk) for walk in WALKS]
+    wander = [_offset_covariance(rows, rows.jac, OFFSET_STD, walk) for walk in (WALKS[0], WALKS[2])]
     wander += [_offset_covariance(rows, rows.jac[:, joint, None], FAR, FAST) for joint in joints]
     # each given those before it: given those after it, too, displacements that cancel win twice
     moved = none - sum(_best_displacement(rows, cov, moves[:k]).nats for k in range(len(moves)))
@@ -227,7 +228,7 @@ def _covariance(rows: _Rows) -> Array:
     # rows of one time share the same means of encoder readings
     cov = (rows.t[:, None] == rows.t) * ((rows.jac * rows.encoder) @ rows.jac.T)
     cov += LATE**2 * np.outer(rows.speed, rows.speed)
-    cov += _offset_covariance(rows, rows.jac, OFFSET, LASTING)
+    cov += _offset_covariance(rows, rows.jac, OFFSET_STD, WALKS[-1])
     model, place = np.sqrt(rows.model), (rows.x / rows.reach).T
     for track, output in {*zip(rows.track.tolist(), rows.output.tolist(), strict=True)}:
         own = np.flatnonzero((rows.track == track) & (rows.output == output))

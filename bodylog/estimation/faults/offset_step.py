@@ -16,14 +16,12 @@ from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import Problem
 from ..inference.solution import Solution
 from ..noise.evidence_search import ROUGHLY
-from .moved_camera import FAR
+from .threshold import FAR
 
 AROUND, ROUNDS = 40, 6
 """Readings on each side among which a step's time is refined, and most rounds of it."""
 EARLY = 1.0
 """s: an encoder that is off this early is off from the start, without a step."""
-WIDTHS = 2.0
-"""Standard errors on each side of a size at which the evidence is compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +146,6 @@ def _sized(trial: Callable[[int, float], _Trial], best: _Trial, t: Array) -> Ste
             return None
         more = np.clip((below - above) / (2.0 * half * bend), -2.0 * half, 2.0 * half)
         best, std = trial(best.row, best.size + float(more)), bend**-0.5
-        half = WIDTHS * std
+        half = 2.0 * std
     cost = best.nats + 0.5 * np.log1p((FAR / std) ** 2) + 0.5 * (best.size / FAR) ** 2 + np.log(len(t))
     return Step(float(t[best.row]), best.size, float(std), best.problem, float(cost))

@@ -1,6 +1,7 @@
 """Whether encoder readings lie in the range, and have the unit, that the body was learned with."""
 
 from collections.abc import Iterator
+from math import tau
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from .contract import Verdict
 
 BESIDE = 0.5
 """rad, or share of the explored range, by which readings may lie beyond it."""
-TURN = 2.0 * np.pi
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
@@ -27,13 +27,13 @@ def range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
         return
     ranges = list(zip(body.joints, readings.T, explored.min(axis=0), explored.max(axis=0), strict=True))
     beyond = [one for one in ranges if not _within(*one[1:])]
-    wide = any(np.ptp(np.nanpercentile(y, [5, 95])) > max(TURN, high - low) for _, y, low, high in beyond)
+    wide = any(np.ptp(np.nanpercentile(y, [5, 95])) > max(tau, high - low) for _, y, low, high in beyond)
     if wide and all(_within(np.deg2rad(y), low, high) for _, y, low, high in ranges):
         text = "; ".join(_ranges_text(*one) for one in beyond)
         raise ModelError(f'joints: {text}: these are degrees; type [body] unit = "deg" in robot.toml')
     for name, y, low, high in beyond:
-        turns = round(float(np.nanmedian(y) - (low + high) / 2.0) / TURN)
-        off = turns and _within(y - turns * TURN, low, high)
+        turns = round(float(np.nanmedian(y) - (low + high) / 2.0) / tau)
+        off = turns and _within(y - turns * tau, low, high)
         why = f"{turns:+d} whole turns off, home it again" if off else "beyond that"
         text = f"joints: {_ranges_text(name, y, low, high)}: {why}, or fit a body from a log that explores it"
         yield Finding("warning", f"{text}; images are of little use there")

@@ -15,8 +15,7 @@ from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import spans
 from ..noise.quantisation import resolved, step_size
 from .frozen import repeats
-from .jumping import LEAST
-from .threshold import NATS
+from .threshold import LEAST, NATS
 
 PART, SPAN, FEWEST = 0.25, 4.0, 3
 """s of frames averaged to one position, s per window of the log, and fewest frames to average."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import tau
 
 import numpy as np
 
@@ -9,8 +10,6 @@ from ...kinematics.robot import Limits
 from ...types import Array, Finding, Series
 from .joints_alone import NAMED, STEP
 
-TURN = 2.0 * np.pi
-"""rad: a revolute joint so far beyond its limits reads degrees or ticks."""
 MOST = 0.99
 """Quantile of the excess by which units are judged, so that single wild readings decide nothing."""
 
@@ -42,7 +41,7 @@ def limit_findings(joints: Series, limits: Mapping[str, Limits], source: str) ->
     columns = dict(zip(joints.names, joints.values.T, strict=True))
     known = [_outside(name, limits[name], joints.t, columns[name]) for name in columns if name in limits]
     found = [one for one in known if one.count]
-    turned = any(one.typical > TURN and one.limits.unit == "rad" for one in found)
+    turned = any(one.typical > tau and one.limits.unit == "rad" for one in found)
     other = turned or (len(found) > 1 and 2 * len(found) > len(known))
     foreign = [one for one in found if other or one.of_another_unit]
     for one in found:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array, Fault, Finding
-from ..faults.threshold import NATS
+from ..faults.threshold import LEAST, NATS, SIGMAS
 from .solve import Poses, Solved, solved
 
 WIDE = 0.05
@@ -23,8 +23,6 @@ PRIOR = 0.3
 """rad: prior std of an offset."""
 APART = 5.0
 """Nats by which an encoder's offset must explain more than any other's to be attributed to it."""
-SIGMAS, LEAST = 4.0, 0.01
-"""An offset is a fault when it exceeds this many of its standard deviations and this many rad."""
 FEWEST = 3
 """Fewest poses with encoders and positions from which encoder noise is learned."""
 _LOWEST = 1e-6

@@ -10,7 +10,7 @@ from ...body_model import BodyModel
 from ...errors import ModelError, UsageError
 from ...types import Array, Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import screen_encoders
-from ..faults.threshold import NATS
+from ..faults.threshold import NATS, SIGMAS
 from ..measurements.gather import camera, columns
 from ..measurements.long_arrays import any_of_row, rows
 from ..measurements.records import Encoders, Sighting
@@ -19,8 +19,6 @@ from .regression import FARTHEST, Delay, measured
 
 LEAST = 1e-3
 """s: a smaller delay is ignored; most cameras expose for longer."""
-SURE = 4.0
-"""Standard errors within which a camera that lost its learned delay counts as not delayed."""
 ENOUGH = 60.0
 """s in the middle of the log that are tried first."""
 JOINTS = "joints"
@@ -51,7 +49,7 @@ def corrected(features: Features, body: BodyModel, given: str | Mapping[str, flo
         if significant(residual) and name not in fixed:
             own = delays[name] + residual.seconds
             # a camera without its learned delay more likely has none than the measured rest
-            keep = not delays[name] or abs(own) > SURE * residual.std_error
+            keep = not delays[name] or abs(own) > SIGMAS * residual.std_error
             delays[name], errors[name] = (own, residual.std_error) if keep else (0.0, 0.0)
     weighed = tuple(
         Hypothesis("camera late", name, residual.nats, NATS, name not in fixed and significant(residual))
@@ -159,7 +157,7 @@ def delay_findings(
         delay, residual = delays.get(name, 0.0), residuals.get(name)
         if name in fixed and residual is not None and significant(residual):
             late, given = delay + residual.seconds, f"--delay {name}={delay:g}" if delay else "not corrected"
-            better = f"{late:.4f}" if abs(late) > SURE * residual.std_error else "0"
+            better = f"{late:.4f}" if abs(late) > SIGMAS * residual.std_error else "0"
             advice = f"error bars are too small for that; type --delay {name}={better}"
             yield Finding("warning", f"{name}: {worded(late, residual.std_error)} ({given}): {advice}")
         elif name in errors:
