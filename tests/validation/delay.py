@@ -8,10 +8,12 @@ from bodylog.estimation.faults.threshold import NATS
 from bodylog.estimation.timing.correction import measured_delays
 from tests.estimation.conftest import draw
 from tests.estimation.test_delay import delayed
-from tests.validation import error_bars, figures, logs
+from tests.validation import figures, logs
 
 DELAYS = (-0.1, -0.05, -0.02, -0.005, 0.0, 0.005, 0.02, 0.05, 0.1)
 """s: one log after the other."""
+COUNT, BODIES = 200, 20
+"""Logs a row, and the explorations whose bodies they take in turn."""
 LARGE = 0.05
 """s: what is found in every log."""
 
@@ -36,7 +38,13 @@ def row(name, pairs):
     return (f"{name} ({len(pairs)})", *cells, *share)
 
 
-def sines(camera_hz, encoder_std=0.02, count=60):
+def simulated(scenario, seconds, cameras=1):
+    """Logs of a scenario, the bodies of other explorations."""
+    bodies = (logs.learned(BODIES + seed % BODIES, cameras) for seed in range(COUNT))
+    return zip((logs.drawn(scenario, seed, seconds, cameras) for seed in range(COUNT)), bodies, strict=True)
+
+
+def sines(camera_hz, encoder_std=0.02, count=COUNT):
     """Slow sines of 20 s, the model known."""
     return ((logs.of(w), w.body) for w in (draw(s, camera_hz=camera_hz, encoder_std=encoder_std) for s in range(count)))
 
@@ -50,10 +58,10 @@ def one_of_two(camera, pairs):
 
 
 KINDS = {
-    "reaches of 10 s": error_bars.reaches,
-    "reaches of 10 s, second camera": lambda: one_of_two(1, error_bars.reaches(2)),
-    "babble of 40 s, the body of another": lambda: error_bars.babble(count=20),
-    "reaches of 30 s, pan's encoder drifting": error_bars.drifting,
+    "reaches of 10 s": lambda: simulated("reach", 10.0),
+    "reaches of 10 s, second camera": lambda: one_of_two(1, simulated("reach", 10.0, 2)),
+    "babble of 40 s, the body of another": lambda: simulated("babble", 40.0),
+    "reaches of 30 s, pan's encoder drifting": lambda: simulated("drift", 30.0),
     "slow sines of 20 s, images at 5 Hz": lambda: sines(5.0),
     "the same, images at 12 Hz": lambda: sines(12.0),
     "the same, images at 30 Hz": lambda: sines(30.0),
