@@ -41,6 +41,16 @@ def test_learn_does_not_change_a_short_sound_exploration(seed):
     assert not findings_of(found) and "delay" not in found.model.provenance
 
 
+@pytest.mark.soak
+def test_delays_measured_without_a_body_are_as_sure_as_they_state():
+    off = []
+    for seed, seconds in enumerate((0.0, 0.0, 0.06, -0.1, 0.0, 0.15, 0.0, 0.08, 0.0, -0.06, 0.0, 0.1)):
+        found, unclear = camera_delay.measured(delayed(run(seed, 0.003).features, seconds), Settings())
+        assert not unclear
+        off += [(delay.seconds - seconds) / delay.std_error for delay in found.values()]
+    assert len(off) > 10 and 0.6 < np.sqrt(np.mean(np.square(off))) < 1.4 and np.abs(off).max() < 3.0, off
+
+
 LATE = ((0, -0.1), *(pytest.param(*case, marks=pytest.mark.soak) for case in ((1, 0.05), (2, 0.02))))
 
 

@@ -1,7 +1,9 @@
 """A camera's delay in an exploration log, by the likelihood of the body's own Gaussian process.
 
 A track's curve y at t + τ is a draw of the process at the encoder angles of t: y + τ ẏ has its mean m and, with noise,
-its covariance K. So τ = −ẏᵀK⁻¹(y − m) / ẏᵀK⁻¹ẏ, by Gauss–Newton. Residuals of the learned mean are a weaker test: where
+its covariance K. So τ = −ẏᵀK⁻¹(y − m) / ẏᵀK⁻¹ẏ, by Gauss–Newton. Position and speed are interpolated from the same
+images, so their noise e, ė adds tr(K⁻¹ E[e ėᵀ]) and tr(K⁻¹ E[ė ėᵀ]) to the two sums, which are subtracted.
+Residuals of the learned mean are a weaker test: where
 paths hardly cross, the mean absorbs the delay.
 """
 
@@ -44,16 +46,27 @@ def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prio
 
 
 def _sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, float]:
-    """ẏᵀK⁻¹(y − m) and ẏᵀK⁻¹ẏ of a curve delayed by `late` s; zeros where too little is left."""
-    place, speed, *_, sound = interpolated(curve, late)
+    """ẏᵀK⁻¹(y − m) and ẏᵀK⁻¹ẏ of a curve delayed by `late` s, less their noise; zeros where too little is left."""
+    place, speed, value, slope, first, sound = interpolated(curve, late)
     off = np.linalg.norm(place - curve.predicted, axis=1)
     if sound.sum() < FEWEST:
         return 0.0, 0.0
     rows = np.flatnonzero(sound & (off <= BLUNDER * np.median(off[sound])))
     noise = curve.noise + np.einsum("bdm,bm->bd", np.square(curve.jac[rows]), curve.encoder[rows])
+    placed, moved = (_shares(part[rows], first[rows], len(curve.t)) for part in (value, slope))
+    cross, own = moved @ placed.T, moved @ moved.T
     pull, weight = 0.0, 0.0
     for d, prior in enumerate(cov):
         known = prior[np.ix_(rows, rows)] + np.diag(noise[:, d])
-        lean = np.linalg.solve(known, speed[rows, d])
-        pull, weight = pull + lean @ (place[rows, d] - mean[d]), weight + lean @ speed[rows, d]
+        inverse, blur = np.linalg.inv(known), curve.blur[d] / curve.images
+        lean = inverse @ speed[rows, d]
+        pull += lean @ (place[rows, d] - mean[d]) - blur * float(np.sum(inverse * cross))
+        weight += lean @ speed[rows, d] - blur * float(np.sum(inverse * own))
     return float(pull), float(weight)
+
+
+def _shares(weights: Array, first: Array, count: int) -> Array:
+    """Weights (B,4) of the four images from `first` (B,) on as a matrix (B,count)."""
+    found = np.zeros((len(weights), count))
+    found[np.arange(len(weights))[:, None], first[:, None] + np.arange(4)] = weights
+    return found
