@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array, Fault, Finding
-from ..faults.threshold import LEAST, NATS, SIGMAS
+from ..faults.threshold import FAR, LEAST, NATS, SIGMAS
 from .solve import Poses, Solved, solved
 
 WIDE = 0.05
@@ -19,8 +19,6 @@ HOPE = -3.0
 """Nats: an offset that wins less with the noise as it is, which may have grown because of it, is not tried."""
 WIDTH = 2.0
 """Prior std of the logarithm of an encoder's std, about the body's."""
-PRIOR = 0.3
-"""rad: prior std of an offset."""
 APART = 5.0
 """Nats by which an encoder's offset must explain more than any other's to be attributed to it."""
 FEWEST = 3
@@ -140,7 +138,7 @@ def _evidence(log_var: Array, rows: _Rows, free: Array) -> tuple[float, Array]:
     chosen = np.ix_(free, free)
     count = int(free.sum())
     value += 0.5 * float(score[free] @ cov[chosen] @ score[free])
-    value -= 0.5 * float(np.linalg.slogdet(np.eye(count) + PRIOR**2 * info[chosen])[1])
+    value -= 0.5 * float(np.linalg.slogdet(np.eye(count) + FAR**2 * info[chosen])[1])
     # with offsets, ν + J b replaces ν, and their spread adds to C⁻¹'s trace
     moved = w + np.einsum("pij,j->pi", a, offset)
     spread = np.einsum("pij,jk,pik->pi", a, cov, a)
@@ -171,7 +169,7 @@ def _offsets(
     offset, cov = np.zeros(len(free)), np.zeros((len(free), len(free)))
     if free.any():
         chosen = np.ix_(free, free)
-        cov[chosen] = np.linalg.inv(a.sum(axis=0)[chosen] + np.eye(int(free.sum())) / PRIOR**2)
+        cov[chosen] = np.linalg.inv(a.sum(axis=0)[chosen] + np.eye(int(free.sum())) / FAR**2)
         offset[free] = -cov[chosen] @ w.sum(axis=0)[free]
     return offset, cov
 
