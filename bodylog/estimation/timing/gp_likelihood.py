@@ -3,8 +3,7 @@
 A track's curve y at t + τ is a draw of the process at the encoder angles of t: y + τ ẏ has its mean m and, with noise,
 its covariance K. So τ = −ẏᵀK⁻¹(y − m) / ẏᵀK⁻¹ẏ, by Gauss–Newton. Position and speed are interpolated from the same
 images, so their noise e, ė adds tr(K⁻¹ E[e ėᵀ]) and tr(K⁻¹ E[ė ėᵀ]) to the two sums, which are subtracted.
-Residuals of the learned mean are a weaker test: where
-paths hardly cross, the mean absorbs the delay.
+Residuals of the learned mean are a weaker test: where paths hardly cross, the mean absorbs the delay.
 """
 
 from collections.abc import Callable, Sequence
