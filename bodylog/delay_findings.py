@@ -34,7 +34,7 @@ class Examined:
 
 
 def examine(log: Path, body: BodyModel | None, settings: Settings) -> Examined:
-    """How late each camera's timestamps are relative to the encoders; nothing with `delay` off.
+    """Measure the delay of each camera's timestamps relative to the encoders; nothing with `delay` off.
 
     With a body, InputError where its cameras are not those of the log; without one, a finding says what is missing.
     """

@@ -17,7 +17,7 @@ from .setting_options import delay_option
 def doctor(logs: tuple[Path, ...], repair: Path | None, body: Path | None, common: Common, as_json: bool) -> int:
     """Find what is wrong with a log, and repair it.
 
-    It measures how late images are against the joints, in the middle minute of the log; --delay off skips this.
+    It measures the delay of images relative to the joints in the middle minute of the log; --delay off skips this.
     """
     from bodylog import pipeline
 

@@ -1,4 +1,4 @@
-"""`doctor` measures how late a log's images are, with and without a body, and accuses no sound log."""
+"""`doctor` measures the delay of a log's images, with and without a body, and accuses no sound log."""
 
 import json
 from dataclasses import replace

@@ -168,7 +168,7 @@ def delay_findings(
 
 
 def worded(seconds: float, error: float | None = None) -> str:
-    """How late image timestamps are, ± their standard error (s)."""
+    """The delay of image timestamps in words, ± its standard error (s)."""
     about = "" if error is None else f" ± {error:.4f}"
     return f"image timestamps {'lag' if seconds > 0 else 'lead'} the encoders by {abs(seconds):.4f}{about} s"
 
