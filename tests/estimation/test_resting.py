@@ -37,6 +37,13 @@ def test_encoder_noise_of_quantised_readings_is_the_step(method, senses, step, n
     assert nees > (0.4 if noise else 0.025 if step < 1e-5 else 0.15)
 
 
+@pytest.mark.parametrize("seed", [100, 101, 102, 103])
+def test_rounding_leaves_variances_of_near_exact_encoders_positive(seed):
+    world = drawn(seed, Drawn("sines", 1e-6, encoder_hz=100.0, camera_hz=30.0))
+    found = estimate(world.features, world.body, Estimation())
+    assert found.settings["order"] == 3 and finite(found) is found
+
+
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
 def test_estimate_follows_a_joint_after_a_long_rest(method):
     world = drawn(0, Drawn("reach", 1e-4))

@@ -93,7 +93,7 @@ def covariances(readings: Readings, trace: Trace, order: int) -> Array:
             known[:, :k] *= keep
         carry_back(known[: order * m].reshape(order, m, 2 * k, c), dt)
         carry_back([known[:, state * m : state * m + m] for state in range(order)], dt)
-        if i % EVEN == 0:
+        if i % EVEN[order] == 0:
             known[:, :k] = 0.5 * (known[:, :k] + known[:, :k].transpose(1, 0, 2))
     ends = _ends(known)
     for less, r in zip(cov, reach, strict=True):

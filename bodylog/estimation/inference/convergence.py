@@ -20,7 +20,9 @@ class Progress:
         self._least, self._stuck = np.inf, 0
 
     def note(self, move: float) -> None:
-        """Record one sweep and its largest move, in standard deviations."""
+        """Record one sweep and its largest move, in standard deviations, which must be a number."""
+        if np.isnan(move):
+            raise DidNotConverge("rounding leaves no number")
         self._stuck = self._stuck + 1 if move > 0.9 * self._least and move > STUCK else 0
         self._least = min(self._least, move)
         if self._stuck > PATIENCE:

@@ -17,8 +17,8 @@ from .reacquisition import forget
 
 R = TypeVar("R", "Readings", "Trace", "Pooled")
 
-EVEN = 16
-"""Instants after which p is made symmetric, before rounding errors grow."""
+EVEN = {2: 16, 3: 4}
+"""Instants after which p is made symmetric, before rounding errors grow, by the motion's order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def scan(
             propagate(readings.dt[i], None if readings.more is None else readings.more[i])
         if i in reset:
             forget(z, p, reset[i], readings.encoders[i], readings.dt[i], order)
-        if i % EVEN == 0:
+        if i % EVEN[order] == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m, kept], p[:m, :m, kept]
         update(readings, measured, i, seen[i], dynamics, belief, errors, back.at(i), more[i])

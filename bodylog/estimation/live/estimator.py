@@ -181,7 +181,7 @@ class _Filter:
         except ArithmeticError:
             return None  # the full step reports the error
         uneven = before.uneven + 1
-        if uneven >= EVEN:
+        if uneven >= EVEN[self.motion.order]:
             even(belief)
             uneven = 0
         borne = [t if reading == reading else last for reading, last in zip(angles, before.borne, strict=True)]
