@@ -8,7 +8,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import FormatError
-from ..io.atomic_files import replacing
+from ..io.atomic_files import replacing, sync
 from ..io.outputs import Output, guard
 from ..logs.conversion.transcode import LIBRARY, PROFILE, carry
 from ..logs.limits import LIMITS, Input
@@ -58,6 +58,7 @@ def annotating(source: Path, out: Path, whole: bool = True, limits: Input = LIMI
                 yield under_way
             copy.copied()
             verify(beside, under_way.messages, out)
+            sync(beside)  # while the rest is digested; what is left to sync then is its name
             copy.digest()
 
 
