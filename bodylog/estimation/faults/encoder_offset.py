@@ -11,7 +11,7 @@ from ..inference.solution import Solution
 from ..measurements.records import Encoders
 from ..noise.quantisation import step_size
 from .offset_score import offset_score
-from .offset_step import Step, free_energy, likeliest_step
+from .offset_step import EARLY, Step, free_energy, likeliest_step
 from .threshold import LEAST, NATS, SIGMAS
 
 MOST = 2000
@@ -80,11 +80,12 @@ def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[
 
 
 def _named(found: Chosen) -> Chosen:
-    """The same with its steps among the faults of the evidence."""
-    evidence = found.problem.evidence
+    """The same with its steps among the faults of the evidence; one from the start is no jump."""
+    evidence, start = found.problem.evidence, found.problem.timeline.t[0]
     faults = tuple(
-        Fault("encoders", either, "jumping", step.since, np.nan if EITHER in either else step.size, "rad", step.std)
+        Fault("encoders", either, kind, step.since, np.nan if EITHER in either else step.size, "rad", step.std)
         for joint, step in found.steps.items()
+        for kind in ["jumping" if step.since > start + EARLY else "drifting"]
         for either in [EITHER.join(evidence.joints[k] for k in (joint, *found.alternatives[joint]))]
     )
     return found.of(replace(found.problem, evidence=replace(evidence, faults=(*evidence.faults, *faults))))

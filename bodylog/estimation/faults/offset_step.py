@@ -1,7 +1,7 @@
 """An encoder whose offset steps: from one reading on, all its readings are off by a constant.
 
 Time and size are those of greatest evidence of the whole filter. A size N(0, FAR²) with standard error σ, and a time at
-any of N readings, cost ½ ln(1 + FAR²/σ²) + ln N nats of it.
+any of N readings after the start, cost ½ ln(1 + FAR²/σ²) + ln N nats of it.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from .threshold import FAR
 AROUND, ROUNDS = 40, 6
 """Readings on each side among which a step's time is refined, and most rounds of it."""
 EARLY = 1.0
-"""s: an encoder that is off this early is off from the start, without a step."""
+"""s: an encoder that is off this early is off from the start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +71,11 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
     try:
         path = _offsets(wandering, solve(wandering, fresh, rest=ROUGHLY), joint)
         row, size = _two_levels(path)
-        if encoders.t[row] - encoders.t[0] < EARLY:
-            return None
-        return _sized(trial, _located(trial, encoders.values[:, joint], row, size, joint), encoders.t)
+        late = encoders.t - encoders.t[0] >= EARLY
+        begun = _located(trial, encoders.values[:, joint], row, size, joint) if late[row] else None
+        if begun is None or not late[begun.row]:
+            begun = trial(0, size)
+        return _sized(trial, begun, encoders.t)
     except DidNotConverge:
         return None
 
@@ -147,5 +149,6 @@ def _sized(trial: Callable[[int, float], _Trial], best: _Trial, t: Array) -> Ste
         more = np.clip((below - above) / (2.0 * half * bend), -2.0 * half, 2.0 * half)
         best, std = trial(best.row, best.size + float(more)), bend**-0.5
         half = 2.0 * std
-    cost = best.nats + 0.5 * np.log1p((FAR / std) ** 2) + 0.5 * (best.size / FAR) ** 2 + np.log(len(t))
+    times = np.log(len(t)) if best.row else 0.0
+    cost = best.nats + 0.5 * np.log1p((FAR / std) ** 2) + 0.5 * (best.size / FAR) ** 2 + times
     return Step(float(t[best.row]), best.size, float(std), best.problem, float(cost))
