@@ -72,10 +72,10 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
         path = _offsets(wandering, solve(wandering, fresh, rest=ROUGHLY), joint)
         row, size = _two_levels(path)
         late = encoders.t - encoders.t[0] >= EARLY
-        begun = _located(trial, encoders.values[:, joint], row, size, joint) if late[row] else None
-        if begun is None or not late[begun.row]:
-            begun = trial(0, size)
-        return _sized(trial, begun, encoders.t)
+        chosen = _located(trial, encoders.values[:, joint], row, size, joint) if late[row] else None
+        if chosen is None or not late[chosen.row]:
+            chosen = trial(0, size)
+        return _sized(trial, chosen, encoders.t)
     except DidNotConverge:
         return None
 

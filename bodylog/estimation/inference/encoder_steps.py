@@ -57,7 +57,7 @@ class EncoderSteps:
         nats, first = 2.0 * self._outliers(d), self._offsets
         for j, reading in enumerate(readings):
             if reading == reading:
-                # covariance of the state with what the encoder reads, and the prediction less the reading
+                # covariance of state and reading, and the prediction less the reading
                 row = belief[first + j] + belief[j] if first else belief[j].copy()
                 row[-1] -= reading
                 s, off = row.item(j) + noise[j] + (row.item(first + j) if first else 0.0), row.item(-1)

@@ -41,7 +41,7 @@ class _Steps:
 def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -> tuple[Array, Array, Array]:
     """Log evidence (R,M) per ratio process/noise (R,M), with the noise variance that maximises it given the ratio.
 
-    Time steps dt (L,M,C) s · readings y (L,M,C) rad, NaN where there is none · restarts `fresh` (L,M,C) bool. The first
+    Time steps dt (L,M,C) s · readings y (L,M,C) rad, NaN where absent · restarts `fresh` (L,M,C) bool. The first
     WARM readings of all stretches but the first do not count. For order 3 also the largest innovation (R,M) that the
     next one reaches too, in standard deviations.
     """
