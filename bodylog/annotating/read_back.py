@@ -170,7 +170,8 @@ class _Table:
                 raise self._unfit(PREDICTED + name, f"{len(found.names)} names, not {len(PREDICTED_NAMES)}")
             series[name] = _track(found)
             std, between = found.values[:, 2:4], found.values[:, 4]
-            rows = np.column_stack([std[:, 0] ** 2, between, between, std[:, 1] ** 2])
+            with np.errstate(over="ignore"):  # an absurd error bar of a spoilt log is infinite
+                rows = np.column_stack([std[:, 0] ** 2, between, between, std[:, 1] ** 2])
             cov[name] = rows.reshape(-1, 2, 2)
         return series, cov
 

@@ -93,7 +93,7 @@ def _array(draw: Draw, data: bytes) -> bytes:
     kind = draw.random.randint(0, 4)
     if kind == 0:
         return _npy(draw.of(SHAPES), data[-array.nbytes :] if draw.random.random() < 0.5 else b"")
-    if kind == 1:
+    if kind == 1 and array.size and array.dtype.kind in "fc":
         flat = array.reshape(-1)
         flat[draw.random.randrange(flat.size) if draw.random.random() < 0.5 else slice(None)] = draw.of(
             (*FLOATS, 0.0, -1.0)
