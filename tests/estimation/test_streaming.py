@@ -17,7 +17,8 @@ from bodylog.errors import LogError, ModelError, UsageError
 from bodylog.estimation import estimate
 from bodylog.estimation.inference.encoder_steps import EncoderSteps, even
 from bodylog.estimation.inference.filter_records import Dynamics
-from bodylog.estimation.inference.instant import Motion, hear
+from bodylog.estimation.inference.instant import hear
+from bodylog.estimation.inference.motion import Motion
 from bodylog.estimation.live.estimator import Belief, Estimator
 from bodylog.estimation.measurements import touch
 from bodylog.settings import Estimation, Settings

@@ -7,7 +7,8 @@ import pytest
 
 from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation.inference.filter_records import Dynamics
-from bodylog.estimation.inference.instant import Motion, hear
+from bodylog.estimation.inference.instant import hear
+from bodylog.estimation.inference.motion import Motion
 from bodylog.estimation.noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame
 from bodylog.kinematics.camera import lens, project
 from bodylog.kinematics.rotations import exponential

@@ -1,8 +1,12 @@
 """Motion whose highest derivative is white noise, exactly discretised, for states of any shape."""
 
+import copy
 from math import factorial
 
+import numpy as np
+
 from ...types import Array
+from .filter_records import Dynamics
 
 SPREADS = {
     order: [
@@ -37,3 +41,39 @@ def grow(p: Array, process: Array | float, dt: Array | float) -> None:
         powers.append(powers[-1] * dt)
     for row, column, power, scale in SPREADS[len(p)]:
         p[row, column] += powers[power - 1] / scale
+
+
+class Motion:
+    """Motion with white acceleration or jerk, exactly discretised, in plain matrices."""
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        """Motion for dynamics with process (M,)."""
+        k, m, order = dynamics.size, len(dynamics.process), dynamics.order
+        self.joints, self.order, self.offset, self.is_prior = m, order, dynamics.offset, dynamics.is_prior
+        self._shifts, self._spread, each = [np.eye(k)], np.zeros((2 * order - 1, k, k)), np.arange(m)
+        for lag in range(1, order):
+            self._shifts.append(np.eye(k, k, lag * m) / factorial(lag))
+            self._shifts[-1][(order - lag) * m :] = 0.0
+        for row, column, power, scale in SPREADS[order]:
+            self._spread[power - 1, row * m + each, column * m + each] = dynamics.process / scale
+        if dynamics.drift is not None:
+            self._spread[0, range(order * m, k), range(order * m, k)] = dynamics.drift
+
+    def move(self, z: Array, p: Array, dt: float, more: Array | None = None) -> tuple[Array, Array]:
+        """z (K,) and p (K,K) after dt (s), with `more` (M,) times the process variance."""
+        f, spread, power = self._shifts[0], np.zeros_like(p), 1.0
+        for shift in self._shifts[1:]:
+            power *= dt
+            f = f + power * shift
+        for one in self._spread[::-1]:
+            spread = dt * (one + spread)
+        if more is not None:
+            spread[: self.order * self.joints] *= np.tile(more, self.order)[:, None]
+        p = f @ p @ f.T + spread
+        return f @ z, 0.5 * (p + p.T)
+
+    def recalling(self, joints: Array) -> "Motion":
+        """The same motion, where readings of these joints (M,) bool come from the posture prior."""
+        other = copy.copy(self)
+        other.is_prior = joints if self.is_prior is None else self.is_prior | joints
+        return other

@@ -12,8 +12,9 @@ from ..noise.posture_prior import LASTING, adrift_prior
 from .filter_records import Readings
 from .folds import Fold, fold_for
 from .initial_path import prior, priors
-from .instant import RESTING, Motion, StepResult, hear
+from .instant import RESTING, StepResult, hear
 from .knot_problem import encoder_rows, full
+from .motion import Motion
 from .problem import Problem
 from .reacquisition import SILENCE, AcquisitionState, forget
 from .scan import scan

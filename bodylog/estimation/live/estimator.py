@@ -14,7 +14,8 @@ from ..faults.encoder_offset import WALKS
 from ..inference.encoder_steps import EncoderSteps, even
 from ..inference.filter_records import Dynamics
 from ..inference.initial_path import OFFSET_STD
-from ..inference.instant import Motion, hear
+from ..inference.instant import hear
+from ..inference.motion import Motion
 from ..inference.reacquisition import SILENCE, START_STD, VAGUE, AcquisitionState, forget
 from ..inference.scan import EVEN
 from ..methods.table import METHODS
