@@ -83,6 +83,17 @@ def test_encoders_that_are_wrong_at_first_move_no_camera(seed):
     assert not cameras(replace(world.features, joints=replace(joints, values=values)), world.body)
 
 
+@pytest.mark.parametrize("rate", [0.05, 0.2])
+def test_an_encoder_that_drifts_far_leaves_one_finite_hypothesis(rate):
+    world = drawn(300, Drawn("sines", noise=0.002))
+    joints = world.features.joints
+    off = np.outer(np.clip(rate * (joints.t - 5.0), 0.0, None), np.arange(3) == 0)
+    features = replace(world.features, joints=replace(joints, values=joints.values + off))
+    verdict = screened(features, world.body, Estimation())
+    (moved,) = [one for one in verdict.hypotheses if one.name == "camera moved"]
+    assert np.isfinite(moved.nats) and moved.nats < 0.0 and not moved.chosen
+
+
 def test_moved_camera_is_named_among_two():
     world = drawn(102, Drawn("reach", noise=0.01))
     names = ("effector", "side/effector")

@@ -143,7 +143,7 @@ def displacements(encoders: Encoders, seen: Sequence[Sighting]) -> list[Displace
     moves = _displacements(rows, cov)
     if moves[0].nats > NATS:
         beyond = _gain_over_encoders(rows, cov, moves)
-        moves = [replace(one, nats=min(one.nats, beyond)) for one in moves]
+        moves = [replace(one, nats=min(one.nats, beyond)) for one in (moves if beyond > NATS else moves[:1])]
     return sorted(moves, key=lambda one: one.t)
 
 
@@ -189,13 +189,13 @@ def _residuals(rows: _Rows, moves: list[Displacement]) -> Array:
 def _gain_over_encoders(rows: _Rows, cov: Array, moves: list[Displacement]) -> float:
     """Nats won against the best alternative: encoders wander, one wanders far, steps, or all err at first.
 
-    −∞ where residuals exceed the noise: the model is not linear over a large offset. A step of one encoder is as simple
-    as one displacement, so it is compared with the first displacement alone.
+    Negative where residuals exceed the noise: the model is not linear over a large offset. A step of one encoder is as
+    simple as one displacement, so it is compared with the first displacement alone.
     """
     joints, none = range(rows.x.shape[1]), _cost(rows.r, cov)
     white = forward_substituted(np.linalg.cholesky(cov), _residuals(rows, moves)[:, None])
-    if np.square(white).sum() > POOR * len(white):
-        return -np.inf
+    if (poor := POOR * len(white) - np.square(white).sum()) < 0.0:
+        return 0.5 * float(poor)
     wander = [_offset_covariance(rows, rows.jac, OFFSET_STD, walk) for walk in (WALKS[0], WALKS[2])]
     wander += [_offset_covariance(rows, rows.jac[:, joint, None], FAR, FAST) for joint in joints]
     # each given those before it: given those after it, too, displacements that cancel win twice
