@@ -1,6 +1,6 @@
 """One instant of encoder readings, one belief at a time, with as few calls of numpy as possible.
 
-The same equations as `instant.Motion.move` and `instant.hear` without tracks. A belief is one array (K,K+1): the rows
+The same equations as `motion.Motion.move` and `instant.hear` without tracks. A belief is one array (K,K+1): the rows
 of the covariance, each followed by the mean, so that both are updated at once.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 from ...types import Array
 from .conditioning import FLAT, GATE
 from .filter_records import Dynamics
-from .motion import SPREADS
+from .motion import carry, spreads
 
 _LOG = math.log(2.0 * math.pi)
 
@@ -22,28 +22,17 @@ class EncoderSteps:
 
     def __init__(self, dynamics: Dynamics, encoder: Array) -> None:
         """Dynamics with process (M,), and encoder variances (M,) rad²."""
-        m, order, size = len(dynamics.process), dynamics.order, dynamics.size
-        self.joints, self._order = m, order
-        self._var, self._offsets, each = encoder.tolist(), dynamics.offset or 0, np.arange(m)
-        spread = np.zeros((2 * order - 1, size, size + 1))
-        for row, column, power, scale in SPREADS[order]:
-            spread[power - 1, row * m + each, column * m + each] = dynamics.process / scale
-        if dynamics.drift is not None:
-            spread[0, order * m + each, order * m + each] = dynamics.drift
+        self.joints, self._order = len(dynamics.process), dynamics.order
+        self._var, self._offsets = encoder.tolist(), dynamics.offset or 0
+        spread = np.pad(spreads(dynamics), ((0, 0), (0, 0), (0, 1)))
         self._flat = spread.reshape(len(spread), -1)
 
     def moved(self, belief: Array, dt: float) -> Array:
         """The belief (K,K+1) after dt (s)."""
-        m, found = self.joints, belief.copy()
-        found[:m] += dt * belief[m : 2 * m]
-        if self._order > 2:
-            found[:m] += (0.5 * dt * dt) * belief[2 * m : 3 * m]
-            found[m : 2 * m] += dt * belief[2 * m : 3 * m]
-            found[:, :m] += (0.5 * dt * dt) * found[:, 2 * m : 3 * m]
-        found[:, :m] += dt * found[:, m : 2 * m]
-        if self._order > 2:
-            found[:, m : 2 * m] += dt * found[:, 2 * m : 3 * m]
-        powers = [dt**power for power in range(1, 2 * self._order)]
+        m, order, found = self.joints, self._order, belief.copy()
+        carry([found[state * m : state * m + m] for state in range(order)], dt)
+        carry([found[:, state * m : state * m + m] for state in range(order)], dt)
+        powers = [dt**power for power in range(1, 2 * order)]
         found += np.array(powers).dot(self._flat).reshape(found.shape)
         return found
 

@@ -34,13 +34,24 @@ def carry_back(a: Array | list[Array], dt: Array | float) -> None:
             a[state] += (0.5 * dt * dt) * a[state - 2]
 
 
-def grow(p: Array, process: Array | float, dt: Array | float) -> None:
-    """Add the process noise of dt to covariances p (O,O,…), in place."""
+def grow(p: Array | dict[tuple[int, int], Array], order: int, process: Array | float, dt: Array | float) -> None:
+    """Add the process noise of dt to covariances p (O,O,…) of a motion's order, in place."""
     powers = [process * dt]
-    for _ in range(2 * len(p) - 2):
+    for _ in range(2 * order - 2):
         powers.append(powers[-1] * dt)
-    for row, column, power, scale in SPREADS[len(p)]:
+    for row, column, power, scale in SPREADS[order]:
         p[row, column] += powers[power - 1] / scale
+
+
+def spreads(dynamics: Dynamics) -> Array:
+    """The state's covariance (P,K,K) that process noise brings: the factor of each power dt¹ … dtᴾ of time."""
+    m, order, k = len(dynamics.process), dynamics.order, dynamics.size
+    found, each = np.zeros((2 * order - 1, k, k)), np.arange(m)
+    for row, column, power, scale in SPREADS[order]:
+        found[power - 1, row * m + each, column * m + each] = dynamics.process / scale
+    if dynamics.drift is not None:
+        found[0, range(order * m, k), range(order * m, k)] = dynamics.drift
+    return found
 
 
 class Motion:
@@ -50,14 +61,10 @@ class Motion:
         """Motion for dynamics with process (M,)."""
         k, m, order = dynamics.size, len(dynamics.process), dynamics.order
         self.joints, self.order, self.offset, self.is_prior = m, order, dynamics.offset, dynamics.is_prior
-        self._shifts, self._spread, each = [np.eye(k)], np.zeros((2 * order - 1, k, k)), np.arange(m)
+        self._shifts, self._spread = [np.eye(k)], spreads(dynamics)
         for lag in range(1, order):
             self._shifts.append(np.eye(k, k, lag * m) / factorial(lag))
             self._shifts[-1][(order - lag) * m :] = 0.0
-        for row, column, power, scale in SPREADS[order]:
-            self._spread[power - 1, row * m + each, column * m + each] = dynamics.process / scale
-        if dynamics.drift is not None:
-            self._spread[0, range(order * m, k), range(order * m, k)] = dynamics.drift
 
     def move(self, z: Array, p: Array, dt: float, more: Array | None = None) -> tuple[Array, Array]:
         """z (K,) and p (K,K) after dt (s), with `more` (M,) times the process variance."""

@@ -106,7 +106,7 @@ def _carry(move: Array, shift: Array, noise: Array, dt: Array, process: Array, d
     order = dynamics.order
     for part in (move[:order], shift[:order], noise[:order], noise[:, :order].swapaxes(0, 1)):
         carry(part, dt)
-    grow(noise[:order, :order], process, dt)
+    grow(noise, order, process, dt)
     if dynamics.drift is not None:
         noise[order, order] += dynamics.drift.reshape(len(dynamics.drift), -1, 1) * dt
 

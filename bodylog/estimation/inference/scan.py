@@ -12,7 +12,7 @@ import numpy as np
 from ...types import Array
 from .conditioning import MANY, AdjointRecord, Rows, condition_pooled, update
 from .filter_records import Dynamics, KnotReadings, Pooled, Readings
-from .motion import SPREADS, carry
+from .motion import carry, grow
 from .reacquisition import forget
 
 R = TypeVar("R", "Readings", "Trace", "Pooled")
@@ -154,11 +154,7 @@ def propagator(belief: Array, dynamics: Dynamics) -> Callable[[Array, Array | No
     def propagate(dt: Array, more: Array | None) -> None:
         carry(rows, dt)
         carry(columns, dt)
-        powers = [q * dt if more is None else q * more * dt]
-        for _ in range(2 * order - 2):
-            powers.append(powers[-1] * dt)
-        for row, column, power, scale in SPREADS[order]:
-            blocks[row, column][:] += powers[power - 1] / scale
+        grow(blocks, order, q if more is None else q * more, dt)
         if offsets is not None:
             offsets[:] += walk * dt
 

@@ -120,7 +120,7 @@ def _gains(steps: _Steps, ratios: Array, order: int) -> Iterator[tuple[Array, Ar
 def _spread(dt: Array, order: int) -> Array:
     """Covariance (L,S,S,U,C) that unit white noise in the last rate brings within dt (L,U,C) s."""
     found = np.zeros((len(dt), order, order, *dt.shape[1:]))
-    grow(np.moveaxis(found, 0, 2), 1.0, dt)
+    grow(np.moveaxis(found, 0, 2), order, 1.0, dt)
     return found
 
 
