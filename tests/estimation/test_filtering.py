@@ -160,9 +160,10 @@ def test_extended_filter_is_close_but_different(world):
     assert 1e-8 < apart < 5e-3
 
 
-def test_same_input_same_bytes(world):
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+def test_same_input_same_bytes(world, method):
     drawn = world(0, duration=5.0)
-    one, two = (estimate(drawn.features, drawn.body, Estimation()) for _ in range(2))
+    one, two = (estimate(drawn.features, drawn.body, Estimation(method=method)) for _ in range(2))
     assert one.joints.values.tobytes() == two.joints.values.tobytes()
     assert one.cov.tobytes() == two.cov.tobytes()
 

@@ -1,0 +1,37 @@
+"""White acceleration or white jerk, as the encoders' evidence prefers; an order with typed variances is 2."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate
+from bodylog.settings import Estimation
+from tests.estimation.conftest import World, draw
+
+
+def shaken(seed: int) -> World:
+    """Joints of white acceleration, 0.5 rad²/s³, read 100 times a second."""
+    world, rng = draw(seed, encoder_hz=100.0), np.random.default_rng(seed)
+    joints = world.features.joints
+    acceleration = rng.normal(0.0, np.sqrt(0.5 / 0.01), joints.values.shape)
+    x = np.cumsum(np.cumsum(acceleration, axis=0) * 0.01, axis=0) * 0.01
+    joints = replace(joints, values=x + rng.normal(0.0, 0.003, x.shape))
+    return replace(world, features=replace(world.features, joints=joints, tracks={}))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("world", "order"), [(lambda seed: draw(seed, encoder_hz=100.0), 3), (shaken, 2)])
+def test_motion_order_is_chosen_by_evidence_and_listed(world, order, seed):
+    drawn = world(seed)
+    settings = estimate(drawn.features, drawn.body, Estimation(senses=("encoders",))).settings
+    (jerk,) = [one for one in settings["hypotheses"] if one["name"] == "white jerk"]
+    assert settings["order"] == order and jerk["chosen"] == (order == 3)
+    assert (jerk["nats"] > 0.0) == jerk["chosen"] and (jerk["about"], jerk["threshold"]) == ("joints", 0.0)
+
+
+def test_typed_process_is_white_acceleration():
+    drawn = draw(0, encoder_hz=100.0)
+    found = estimate(drawn.features, drawn.body, Estimation(process=0.3))
+    assert found.settings["order"] == 2 and found.settings["process"] == [0.3] * 3
+    assert "white jerk" not in [one["name"] for one in found.settings.get("hypotheses", ())]
