@@ -14,7 +14,7 @@ from .default_features import guessed, of_body
 from .errors import InputError
 from .observed import completed, moving
 from .settings import Settings
-from .types import Features, Finding, Frame, Recording, Score, Series
+from .types import Features, Finding, Frame, Recording, Score
 
 if TYPE_CHECKING:
     from .estimation.timing.regression import Delay
@@ -132,6 +132,8 @@ def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Record
 
 def _middle(read: Recording) -> Recording:
     """The middle `LONGEST` s of a recording, with at most `MOST` images of each camera."""
+    from .recording.tidy import cut
+
     spare = max(0.0, 0.5 * (read.duration_s - LONGEST))
     begin, end = spare, read.duration_s - spare
     films = {"": read.frames, **read.views}
@@ -145,8 +147,8 @@ def _middle(read: Recording) -> Recording:
         read,
         frames=few.pop("", None),
         views=few,
-        joints=None if read.joints is None else _between(read.joints, begin, end),
-        reference=None if read.reference is None else _between(read.reference, begin, end),
+        joints=None if read.joints is None else cut(read.joints, read.start_ns, (begin, end)),
+        reference=None if read.reference is None else cut(read.reference, read.start_ns, (begin, end)),
     )
 
 
@@ -161,10 +163,3 @@ def _some(film: Callable[[], Iterator[Frame]], begin: float, end: float, every: 
     """Every `every`-th frame from begin to end (s)."""
     inside = (frame for frame in film() if begin <= frame.t <= end)
     return islice(inside, 0, None, every)
-
-
-def _between(series: Series, begin: float, end: float) -> Series:
-    """The rows from begin to end (s)."""
-    rows = (series.t >= begin) & (series.t <= end)
-    std = None if series.std is None else series.std[rows]
-    return replace(series, t=series.t[rows], values=series.values[rows], source_ns=series.source_ns[rows], std=std)

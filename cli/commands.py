@@ -32,7 +32,7 @@ class ByName(Mapping[str, click.Command]):
     """Commands by name; a command's module is imported once the command is needed."""
 
     def __getitem__(self, name: str) -> click.Command:
-        """The command; KeyError if there is none of this name."""
+        """The command; KeyError for an unknown name."""
         return _command(_MODULES[name], name)
 
     def __iter__(self) -> Iterator[str]:

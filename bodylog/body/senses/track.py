@@ -72,7 +72,8 @@ def findings(name: str, found: Sense) -> Iterator[Finding]:
     """Yield remarks on sightings left out of one track."""
     sightings, used = len(found.whole.x), len(found.gp.samples)
     if found.rejected:
-        text = f"{name}: {found.rejected} sightings left out as false, more than {_FALSE:.0f} deviations off"
+        left = f"{found.rejected} sighting{'s' if found.rejected > 1 else ''} left out as false"
+        text = f"{name}: {left}, more than {_FALSE:.0f} deviations off"
         yield Finding("warning", text)
     if used + found.rejected < sightings:
         yield Finding("info", f"{name}: {used + found.rejected} of {sightings} sightings kept, {found.rule}")
