@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
-from bodylog.estimation.faults.dead import silent_since
-from bodylog.estimation.faults.frozen import frozen
 from bodylog.estimation.faults.jumping import jumps, unwrapped
+from bodylog.estimation.faults.repeats import frozen, silent_since
 from bodylog.estimation.faults.threshold import NATS
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Linear

@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.errors import EvidenceError
 from bodylog.estimation import METHODS, estimate
-from bodylog.estimation.faults.frozen import frozen
+from bodylog.estimation.faults.repeats import frozen
 from bodylog.estimation.methods.finite import finite
 from bodylog.settings import Estimation
 from tests.estimation.resting import Drawn, drawn, judged

@@ -1,79 +1,101 @@
-"""Encoder faults that show in the readings alone: frozen, dead and jumping encoders.
+"""Encoder faults that show in the readings alone: frozen, dead and jumping encoders, one joint after the other.
 
-Each kind has a file of its own. Offsets, which need the other senses, are found by `bias`.
+Offsets, which need the other senses, are found by `encoder_offset`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ...body_model import BodyModel
-from ...types import Array, Fault, Finding
+from ...types import Array, Fault, Finding, Hypothesis
 from ..measurements.records import Encoders, Evidence
 from .contract import Verdict
-from .dead import dropped_to_zero, silent_since
-from .frozen import frozen
-from .jumping import jumps, unwrapped
-from .repeat_evidence import weighed
+from .jumping import shifts, unwrapped
+from .repeats import dropped_to_zero, frozen, repeat_nats, silence_nats, silent_since
 from .stalled import Stall, stalled
+from .threshold import NATS
+
+KINDS = {"frozen": "encoder frozen", "dead": "encoder dead", "jumping": "encoder jumped"}
+"""Kinds of fault and the names of their hypotheses."""
+
+
+class Screened(NamedTuple):
+    """One encoder: readings (N,) rad without faulty stretches and jumps, its faults (kind, since s, size rad), the nats
+    won by each kind, and since when (s) it is unwrapped by a whole turn.
+    """
+
+    values: Array
+    faults: Sequence[tuple[str, float, float]]
+    nats: Mapping[str, float]
+    wraps: float | None
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
-    """Detect frozen, dead and jumping encoders; whole turns are unwrapped only where encoders read angles."""
-    if evidence.encoders is None:
+    """Remove frozen and dead stretches and undo jumps; whole turns are unwrapped only where encoders read angles."""
+    encoders = evidence.encoders
+    if encoders is None:
         return Verdict(evidence)
     angles = "encoders" not in body.senses
-    findings = tuple(wrap_findings(evidence.encoders, body.joints)) if angles else ()
-    stalls = list(stalled(evidence.encoders, evidence.sightings)) if angles else []
-    sound, faults = screen_encoders(evidence.encoders, body.joints, stalls, angles)
-    hypotheses = tuple(weighed(evidence.encoders, body.joints, faults, {stall.joint: stall.nats for stall in stalls}))
-    return Verdict(replace(evidence, encoders=sound), faults, findings, hypotheses)
+    stalls = list(stalled(encoders, evidence.sightings)) if angles else []
+    faults, findings, hypotheses = list[Fault](), list[Finding](), list[Hypothesis]()
+    own = [[stall for stall in stalls if stall.joint == joint] for joint in range(len(body.joints))]
+    each = [_screened(encoders.t, y, those, angles) for y, those in zip(encoders.values.T, own, strict=True)]
+    for name, one in zip(body.joints, each, strict=True):
+        faults += [Fault("encoders", name, *fault, "rad") for fault in one.faults]
+        kinds = {kind for kind, *_ in one.faults}
+        hypotheses += [Hypothesis(KINDS[kind], name, nats, NATS, kind in kinds) for kind, nats in one.nats.items()]
+        if one.wraps is not None:
+            text = f"encoders: {name} wraps by a whole turn at {one.wraps:.3f} s; its angle is unwrapped"
+            findings.append(Finding("info", text))
+    faults.sort(key=lambda fault: fault.since)
+    found = replace(evidence, encoders=_with_readings(encoders, each))
+    return Verdict(found, tuple(faults), tuple(findings), tuple(hypotheses))
 
 
-def screen_encoders(
-    encoders: Encoders, names: tuple[str, ...], stalls: Sequence[Stall] = (), angles: bool = True
-) -> tuple[Encoders, tuple[Fault, ...]]:
-    """Remove frozen and dead stretches, undo jumps, and return the encoders and faults (size 0 except for jumps).
+def repaired(encoders: Encoders) -> Encoders:
+    """The readings (angles) without faulty stretches and jumps."""
+    return _with_readings(encoders, [_screened(encoders.t, y) for y in encoders.values.T])
 
-    An encoder that repeats exactly zero is dead from its first zero on. `stalls`: repeats that images contradict. Whole
-    turns are unwrapped only for `angles`.
+
+def _with_readings(encoders: Encoders, each: Sequence[Screened]) -> Encoders:
+    return replace(encoders, values=np.stack([one.values for one in each], axis=1)) if each else encoders
+
+
+def _screened(t: Array, y: Array, stalls: Sequence[Stall] = (), angles: bool = True) -> Screened:
+    """Screen one encoder's readings y (N,) rad at t (N,) s; `stalls`: its repeats that images contradict.
+
+    An encoder that repeats exactly zero is dead from its first zero on. Faults have size 0 except for jumps.
     """
-    values, found = encoders.values.copy(), list[Fault]()
-    for joint, begin, end, _ in stalls:
-        kind, begin = _kind_of_repeat(values[:, joint], begin)
-        values[begin:end, joint] = np.nan
-        found.append(Fault("encoders", names[joint], kind, float(encoders.t[begin]), 0.0, "rad"))
-    for joint, name in enumerate(names):
-        column = values[:, joint]
-        column[:] = unwrapped(column) if angles else column
-        for kind, begin, end in _faulty_repeats(encoders.t, column):
-            found.append(Fault("encoders", name, kind, float(encoders.t[begin]), 0.0, "rad"))
-            column[begin:end] = np.nan
-        if (since := silent_since(encoders.t, column)) is not None and not any(f.name == name for f in found):
-            found.append(Fault("encoders", name, "dead", since, 0.0, "rad"))
-        for at, size in jumps(encoders.t, column):
-            found.append(Fault("encoders", name, "jumping", float(encoders.t[at]), size, "rad"))
-            column[at:] -= size
-    return replace(encoders, values=values), tuple(sorted(found, key=lambda fault: fault.since))
+    if not np.isfinite(y).any():
+        return Screened(y, (), {}, None)
+    values, found = (unwrapped(y) if angles else y).copy(), list[tuple[str, float, float]]()
+    turned = np.abs(values - y) > 1.0
+    for kind, begin, end in _faulty_repeats(t, values, stalls):
+        found.append((kind, float(t[begin]), 0.0))
+        values[begin:end] = np.nan
+    if not found and (since := silent_since(t, values)) is not None:
+        found.append(("dead", since, 0.0))
+    moves = shifts(t, values)
+    for at, size, nats in moves:
+        if nats > NATS:
+            found.append(("jumping", float(t[at]), size))
+            values[at:] -= size
+    repeated, value = repeat_nats(y)
+    won = {
+        "frozen": max([repeated if value else min(repeated, 0.0), *(stall.nats for stall in stalls)]),
+        "dead": max(silence_nats(y), repeated if value == 0.0 else -np.inf),
+        "jumping": max((nats for *_, nats in moves), default=0.0),
+    }
+    return Screened(values, found, won, float(t[int(turned.argmax())]) if turned.any() else None)
 
 
-def _faulty_repeats(t: Array, y: Array) -> list[tuple[str, int, int]]:
+def _faulty_repeats(t: Array, y: Array, stalls: Sequence[Stall]) -> list[tuple[str, int, int]]:
     """Return the kind and stretch [begin, end) of faulty repeats in readings y (N,) at t (N,), in order."""
-    found = {end: (*_kind_of_repeat(y, begin), end) for begin, end in frozen(t, y)}
+    runs = [*((stall.begin, stall.end) for stall in stalls), *frozen(t, y)]
+    # dead from the first zero on
+    found = {end: ("dead", begin - 1, end) if y[begin] == 0.0 else ("frozen", begin, end) for begin, end in runs}
     found |= {end: ("dead", begin, end) for begin, end in dropped_to_zero(t, y)}
     return sorted(found.values(), key=lambda run: run[1])
-
-
-def _kind_of_repeat(y: Array, begin: int) -> tuple[str, int]:
-    """Kind of fault of an encoder y (N,) that repeats itself from index `begin` on, and the first faulty index."""
-    return ("dead", begin - 1) if y[begin] == 0.0 else ("frozen", begin)
-
-
-def wrap_findings(encoders: Encoders, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield a remark for each encoder that wraps at a whole turn and is unwrapped."""
-    for name, column in zip(names, encoders.values.T, strict=True):
-        whole = unwrapped(column)
-        if whole is not column and (apart := np.abs(whole - column) > 1.0).any():
-            at = float(encoders.t[int(apart.argmax())])
-            yield Finding("info", f"encoders: {name} wraps by a whole turn at {at:.3f} s; its angle is unwrapped")

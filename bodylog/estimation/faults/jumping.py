@@ -12,40 +12,33 @@ JUMP = 12.0
 """Smallest jump in standard deviations of the readings' steps."""
 LEVEL = 5
 """Readings on each side of a jump that give its size."""
-PAUSE = 3.0
-"""Median steps in time: after a longer gap the joint may have moved to the new reading."""
 FASTEST = 1000.0
 """rad/s²: largest acceleration of a joint; the fastest parallel robots reach a third of it at 1 m (15 g at 0.5 m)."""
-HELD, OFTEN = 0.1, 3
-"""s: longest time for which a driver may hold a reading, and steps needed to recognise that it does."""
 BESIDE = 0.5
 """rad: a shift within BESIDE of a whole turn is a wrapped angle, not a fault."""
 
 
 def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
     """Return first index after each lasting shift in level of y (N,) rad at t (N,) s, and its size (rad)."""
+    return [(at, size) for at, size, nats in shifts(t, y) if nats > NATS]
+
+
+def shifts(t: Array, y: Array) -> list[tuple[int, float, float]]:
+    """The first index after each shift that may be a jump, its size (rad) and the nats it wins, for y (N,) at t (N,) s.
+
+    The largest sound shift wins NATS. The largest step is among them, sound or not.
+    """
     known = rows(np.isfinite(y))
-    v, when, found = y[known], t[known], []
+    v, when = y[known], t[known]
     if len(v) < 4 * LEVEL:
         return []
     steps, usual = np.diff(v), median_step(when)
     bound = _largest_sound(steps, when, usual)
-    far = np.flatnonzero(np.abs(steps) > bound)
-    for k in far[when[far + 1] - when[far] < PAUSE * usual]:
-        if abs(size := _shift(v, int(k))) > bound:
-            found.append((int(np.searchsorted(t, when[k + 1])), size))
-    return found
-
-
-def jump_nats(t: Array, y: Array) -> float:
-    """Nats that a jump at the largest step of y (N,) rad at t (N,) s wins; the largest sound step would win NATS."""
-    known = rows(np.isfinite(y))
-    v, when = y[known], t[known]
-    if len(v) < 4 * LEVEL:
-        return 0.0
-    steps, usual = np.diff(v), median_step(when)
-    far = int(np.where(np.diff(when) < PAUSE * usual, np.abs(steps), 0.0).argmax())
-    return NATS * (_shift(v, far) / _largest_sound(steps, when, usual)) ** 2
+    # after a gap the joint may have moved to the new reading
+    sizes = np.where(np.diff(when) < 3.0 * usual, np.abs(steps), 0.0)
+    tried = {*np.flatnonzero(sizes > bound).tolist(), int(sizes.argmax())}
+    found = [(k, _shift(v, k)) for k in sorted(tried)]
+    return [(int(np.searchsorted(t, when[k + 1])), size, NATS * (size / bound) ** 2) for k, size in found]
 
 
 def _largest_sound(steps: Array, when: Array, usual: float) -> float:
@@ -78,14 +71,13 @@ def unwrapped(y: Array) -> Array:
 
 
 def _hold_time(steps: Array, t: Array) -> float:
-    """Time (s) for which the driver holds a reading, from steps (N-1,) rad at t (N,) s; 0 if it does not."""
+    """Time (s), at most 0.1, for which the driver holds a reading, from steps (N-1,) rad at t (N,) s; 0 if it does not.
+    """
     sizes = np.abs(steps)
     if 2 * np.count_nonzero(steps) > len(steps):
         return 0.0
     moved = np.flatnonzero(sizes > 1.5 * sizes[sizes > 0.0].min(initial=np.inf))
-    if len(moved) <= OFTEN:
-        return 0.0
-    return min(float(np.quantile(np.diff(t[moved]), 0.1)), HELD)
+    return min(float(np.quantile(np.diff(t[moved]), 0.1)), 0.1) if len(moved) > 3 else 0.0
 
 
 def _scatter(steps: Array) -> float:

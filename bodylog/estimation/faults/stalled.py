@@ -13,8 +13,8 @@ from ...types import Array
 from ..measurements.long_arrays import seen
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import spans
-from ..noise.quantisation import resolved, step_size
-from .frozen import repeats
+from ..noise.quantisation import step_size
+from .repeats import repeats
 from .threshold import LEAST, NATS
 
 PART, SPAN, FEWEST = 0.25, 4.0, 3
@@ -56,7 +56,7 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     parts = [p for p in _parts(sighting.t[rows], begin) if len(p) >= FEWEST]
     if len(parts) < 2:
         return 0.0
-    x = np.stack([_interpolated(encoders, column, sighting.t[rows]) for column in encoders.values.T], axis=1)
+    x = encoders.at(sighting.t[rows])
     y, var = sighting.values[rows], sighting.var[rows]
     middle = np.stack([np.median(x[p], axis=0) for p in parts])
     # motion within a part, as the encoders predict it, is subtracted before averaging
@@ -64,7 +64,7 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     at, _, model = sighting.model.predict(middle)
     place = np.stack([np.median(y[p] - known[p], axis=0) for p in parts]) + at
     noise = np.stack([1.6 * var[p].mean(axis=0) / len(p) for p in parts]) + model
-    noise += np.einsum("pdm,m->pd", np.stack([jac[p].mean(axis=0) for p in parts]) ** 2, _encoder_variance(encoders))
+    noise += np.einsum("pdm,m->pd", np.stack([jac[p].mean(axis=0) for p in parts]) ** 2, encoders.variance)
     found = [_explained(sighting, place, noise, middle, k) for k in range(x.shape[1])]
     (gain, left, apart), others = found[joint], [g for k, (g, *_) in enumerate(found) if k != joint]
     least = max(LEAST, 2.0 * step_size(encoders.values[np.isfinite(encoders.values[:, joint]), joint]))
@@ -101,19 +101,3 @@ def _parts(t: Array, begin: float) -> list[Array]:
     """Row numbers of frames at t (F,) s, grouped by PART of the time since begin."""
     number = np.floor((t - begin) / PART).astype(int)
     return [np.flatnonzero(number == k) for k in np.unique(number)]
-
-
-def _interpolated(encoders: Encoders, column: Array, t: Array) -> Array:
-    """Encoder readings interpolated at t (F,) s."""
-    known = np.isfinite(column)
-    return np.interp(t, encoders.t[known], column[known])
-
-
-def _encoder_variance(encoders: Encoders) -> Array:
-    """Variance (M,) rad² of quantisation, or of noise where that is larger."""
-    found = []
-    for column in encoders.values.T:
-        y = column[np.isfinite(column)]
-        scatter = 1.4826 * float(np.median(np.abs(np.diff(y, 2)))) if len(y) > 2 else 0.0
-        found.append(max(resolved(y), scatter**2 / 6.0))
-    return np.array(found)

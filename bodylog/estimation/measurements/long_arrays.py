@@ -38,3 +38,12 @@ def median_step(t: Array) -> float:
     """Median difference of neighbours in t (N,), N > 1; sorted, because nearly equal numbers are slow to partition."""
     steps, half = np.sort(np.diff(t)), (len(t) - 1) // 2
     return float(steps[half] if len(steps) % 2 else (steps[half - 1] + steps[half]) / 2.0)
+
+
+def noise_variance(values: Array, most: int = 6000) -> Array:
+    """Variance (M,) of white noise in values (N,M), from third differences of `most` of them in the middle."""
+    middle = max(0, (len(values) - most) // 2)
+    # readings of several topics are in separate rows, with NaN between them
+    columns = [column[np.isfinite(column)] for column in values[middle : middle + most].T]
+    jerks = [median(np.abs(np.diff(column, 3))) if len(column) > 3 else np.nan for column in columns]
+    return np.asarray(np.square(1.4826 * np.array(jerks)) / 20.0)

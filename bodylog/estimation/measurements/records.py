@@ -2,11 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from ...body_model import ForwardModel
 from ...types import Array, Fault, Finding, Health, Hypothesis
+from ..noise.quantisation import resolved
+from .long_arrays import noise_variance, rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +23,18 @@ class Encoders:
     values: Array
     source_ns: Array
     relative: Array | None = None
+
+    def at(self, t: Array) -> Array:
+        """Readings (F,M) rad interpolated at t (F,) s, the first or last one beyond its end; NaN without any."""
+        known = [(self.t[there], y[there]) for y in self.values.T for there in [rows(np.isfinite(y))]]
+        each = [np.interp(t, *column) if len(column[0]) else np.full(len(t), np.nan) for column in known]
+        return np.stack(each, axis=1) if each else np.empty((len(t), 0))
+
+    @cached_property
+    def variance(self) -> Array:
+        """Variance (M,) rad² of quantisation, or of noise where that is larger."""
+        steps = [resolved(y[np.isfinite(y)]) for y in self.values.T]
+        return np.asarray(np.fmax(steps, noise_variance(self.values)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from ...types import Array
-from .long_arrays import any_of_row, median, median_step
+from .long_arrays import any_of_row, median, median_step, noise_variance
 from .long_arrays import seen as seen_rows
 from .records import Encoders, Sighting
 from .timeline import spans
@@ -131,11 +131,11 @@ def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
     if len(at) < FEWEST:
         return None
     predicted, jac, model = seen.model.predict(x)
-    encoder = _scatter(encoders.values) / count
+    encoder = noise_variance(encoders.values) / count
     knots = np.linspace(encoders.t[0], encoders.t[-1], 1 + int(np.clip(np.ptp(encoders.t) / BEND, 1, BENDS)))
     bends = np.maximum(0.0, 1.0 - np.abs(at[:, None] - knots) / (knots[1] - knots[0]))
     # stated variance may include a model's misfit, scatter the arm's jerk: a frame's own noise is below both
-    blur = np.minimum(var, _scatter(places))
+    blur = np.minimum(var, noise_variance(places))
     curve = Curve(t, places, step, 1, var, blur, at, x, predicted, jac, model, encoder, bends)
     while curve.step < SLOW and len(curve.t) >= 2 * FEWEST and _blurred(curve):
         curve = _paired(curve)
@@ -170,15 +170,6 @@ def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, A
     count, total, time = count[full], total[full], time[full] / count[full]
     together = np.ptp(time, axis=1) < ASIDE
     return encoders.t[0] + time[together].mean(axis=1), (total / count)[together], count[together]
-
-
-def _scatter(values: Array) -> Array:
-    """Noise variance (M,) of values (N,M) in the middle of the log, from their third differences."""
-    middle = max(0, (len(values) - 10 * MOST) // 2)
-    # readings of several topics are in separate rows, with NaN between them
-    columns = [column[np.isfinite(column)] for column in values[middle : middle + 10 * MOST].T]
-    jerks = [median(np.abs(np.diff(column, 3))) if len(column) > 3 else np.nan for column in columns]
-    return np.asarray(np.square(1.4826 * np.array(jerks)) / 20.0)
 
 
 def _blurred(curve: Curve) -> bool:

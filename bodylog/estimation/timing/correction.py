@@ -9,7 +9,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...errors import ModelError, UsageError
 from ...types import Array, Estimate, Features, Finding, Hypothesis, Series
-from ..faults.encoder_faults import screen_encoders
+from ..faults.encoder_faults import repaired
 from ..faults.threshold import NATS, SIGMAS
 from ..measurements.gather import camera, columns
 from ..measurements.long_arrays import any_of_row, rows
@@ -124,7 +124,7 @@ def sound_measurements(
         if name in body.senses:
             seen.setdefault(camera(name), []).append(_sighting(name, track, body, _rows_between(track.t, begin, end)))
     encoders = Encoders(joints.t[inside][spoken], values[spoken], joints.source_ns[inside][spoken])
-    return screen_encoders(encoders, body.joints)[0], seen
+    return repaired(encoders), seen
 
 
 def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimate:
