@@ -21,7 +21,7 @@ from ..inference.scan import EVEN
 from ..methods.table import METHODS
 from ..noise import typed
 from ..noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame, reach
-from ..noise.noise_model import carried
+from ..noise.noise_model import NoiseModel, carried
 from ..noise.posture_prior import LASTING, PosturePrior, adrift_prior, prior_of
 from .inputs import Angles, Inputs, Observation, Place, ToAngles, finite
 from .replay_buffer import Instant, ReplayBuffer, State
@@ -139,9 +139,8 @@ class Estimator:
             n: ErrorCorrelation(process, reach(model), near.get(n, 0.0), PAST, order=order)
             for n, model in models.items()
         }
-        adrift = adrift_prior(self._inputs.wanted, process, x, order)
-        steady = EncoderSteps(dynamics, precision.encoder)
-        one = _Filter(Motion(dynamics), steady, posture, adrift, precision.encoder, precision.scale, like, models)
+        adrift, steady = adrift_prior(self._inputs.wanted, process, x, order), EncoderSteps(dynamics, precision.encoder)
+        one = _Filter(Motion(dynamics), steady, posture, adrift, precision, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
         std = np.repeat([*START_STD[:order], *([] if drift is None else [OFFSET_STD])], len(x))
         watch = AcquisitionState.initial(len(x))
@@ -157,8 +156,7 @@ class _Filter:
     steady: EncoderSteps
     posture: PosturePrior | None
     adrift_posture: PosturePrior | None
-    encoder_var: Array
-    scale: Mapping[str, float]
+    precision: NoiseModel
     like: Mapping[str, ErrorCorrelation]
     models: Mapping[str, ForwardModel]
 
@@ -181,23 +179,24 @@ class _Filter:
             nats, d = self.steady.condition(belief, angles)
         except ArithmeticError:
             return None  # the full step reports the error
-        uneven = before.uneven + 1
-        if uneven >= EVEN[self.motion.order]:
+        uneven = (before.uneven + 1) % EVEN[self.motion.order]
+        if not uneven:
             even(belief)
-            uneven = 0
         borne = [t if reading == reading else last for reading, last in zip(angles, before.borne, strict=True)]
         return State(t, belief, before.watch, borne, min(borne), uneven, nats, {"encoders": d})
 
     def _by_all(self, before: State, at: Instant) -> State:
         dt = at.t - before.t if np.isfinite(before.t) else 0.0
-        angles = np.full(len(self.encoder_var), np.nan) if at.angles is None else at.angles
-        watch = replace(before.watch, borne=np.array(before.borne))
-        order, (z, p) = self.motion.order, self._moved(before.belief, dt, watch.loose)
-        lost, borne = watch.judge(at.t, z, p, angles, self.encoder_var, bool(at.places), order)
+        watch, motion, var = replace(before.watch, borne=np.array(before.borne)), self.motion, self.precision.encoder
+        angles = np.full(len(var), np.nan) if at.angles is None else at.angles
+        more = np.where(watch.loose, LASTING, 1.0) if watch.loose.any() else None
+        z, p = motion.move(before.belief[:, -1], before.belief[:, :-1], dt, more)
+        lost, borne = watch.judge(at.t, z, p, angles, var, bool(at.places), motion.order)
         if lost is not None:
-            forget(z, p, lost, angles, dt, order)
-        here = {name: self._sight(name, at.t, *place, watch.seen.get(name)) for name, place in at.places.items()}
-        angles, var, motion = *self._encoders(angles, dt), self.motion
+            forget(z, p, lost, angles, dt, motion.order)
+        here = {name: watch.with_last_frame(name, self._frame(name, at.t, *at.places[name])) for name in at.places}
+        if self.posture is not None and dt > 0.0:
+            angles, var = self.posture.read(angles, var, dt)
         if adrift := bool(here and watch.adrift(at.t).any()):
             angles, var, is_prior = watch.add_prior(at.t, self.adrift_posture, angles, var)
             motion = motion.recalling(is_prior)
@@ -209,25 +208,10 @@ class _Filter:
         belief[:, :-1], belief[:, -1] = found.p, found.z
         return State(at.t, belief, watch, watch.borne.tolist(), oldest, 0, found.nats, errors, lost)
 
-    def _moved(self, belief: Array, dt: float, loose: Array) -> tuple[Array, Array]:
-        """Mean (K,) and covariance (K,K) after dt (s), of `loose` joints (M,) bool with more process noise."""
-        if loose.any():
-            return self.motion.move(belief[:, -1], belief[:, :-1], dt, np.where(loose, LASTING, 1.0))
-        found = self.steady.moved(belief, dt)
-        even(found)
-        return found[:, -1], found[:, :-1]
-
-    def _sight(self, name: str, t: float, place: Array, var: Array, last: PendingFrame | None) -> PendingFrame:
-        """A frame at t (s), with the track's last one."""
-        memory = LastFrame() if last is None else last.memory
-        return PendingFrame(self.models[name], t, place, self.scale.get(name, 1.0) * var, self.like[name], memory)
-
-    def _encoders(self, x: Array, dt: float) -> tuple[Array, Array]:
-        """Angles and variances (M,) rad², with pseudo-readings of the posture prior for joints without an encoder."""
-        if self.posture is None or dt == 0.0:
-            return x, self.encoder_var
-        own = self.posture.joints
-        return np.where(own, self.posture.mean, x), np.where(own, self.posture.density / dt, self.encoder_var)
+    def _frame(self, name: str, t: float, place: Array, var: Array) -> PendingFrame:
+        """A track's frame at t (s)."""
+        scale = self.precision.scale.get(name, 1.0)
+        return PendingFrame(self.models[name], t, place, scale * var, self.like[name], LastFrame())
 
 
 def _needs_no_log(settings: Estimation, body: BodyModel) -> None:

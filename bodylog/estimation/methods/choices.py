@@ -1,7 +1,6 @@
 """Which methods can use which senses, for the rows of a comparison; and which settings a method ignores."""
 
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -10,9 +9,6 @@ from ...settings import Estimation
 from ...types import Features, Finding
 from ..measurements.gather import chosen
 from .table import METHODS
-
-IGNORED = (("bias", "on"), ("precision", "model"))
-"""Settings about faults and noise learning, which the paper's methods ignore."""
 
 
 def subsets(features: Features, body: BodyModel, settings: Estimation) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:
@@ -48,9 +44,9 @@ def ignored_settings(settings: Estimation) -> tuple[Finding, ...]:
     heeds = METHODS[settings.method].heeds if settings.preset != "paper" else frozenset[str]()
     typed = [key for key in settings.typed if key not in METHODS[settings.method].heeds]
     by = f"{settings.method}{' with the preset paper' * (settings.preset == 'paper')}"
-    ignored: dict[str, Any] = {name: value for name, value in IGNORED if name not in heeds}
-    ignored = {name: value for name, value in ignored.items() if getattr(settings, name) == value}
-    ignored |= {key: settings.typed[key] for key in typed}
+    asked = {"bias": "on", "precision": "model"}
+    set_to = {name: value for name, value in asked.items() if name not in heeds and getattr(settings, name) == value}
+    ignored = {**set_to, **{key: settings.typed[key] for key in typed}}
     return tuple(
         Finding("warning", f"{name}: {value!r} is ignored by {by}; leave it out, or type --method laplace")
         for name, value in ignored.items()

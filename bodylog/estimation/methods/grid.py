@@ -1,6 +1,8 @@
 """Inputs of predictive coding: each sense on one grid of times, with its variance."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -9,18 +11,14 @@ from ...settings import Estimation
 from ...types import Array, Features
 from ..faults.screening import screened
 from ..measurements.gather import start
-from ..measurements.records import Evidence
+from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.timeline import Timeline, timeline
 from ..noise import typed
-from ..noise.noise_model import resolve, warned
+from ..noise.noise_model import PAPER, resolve, warned
 from .paper_touch import Literal, literal
 
 RATE = 20.0
 """Hz: the paper's Δt of 0.05 s."""
-PAPER = (1.0, 1.0, 5.0)
-"""The paper's σ_x, σ_p (rad²) and σ_v (pixels divided by the image width, squared)."""
-LEARNING = 1.0
-"""The paper's λ, 1/s: rate at which the prior follows the belief."""
 GAINS = np.linspace(0.05, 0.95, 19)
 """Gains tried for a static belief."""
 
@@ -49,7 +47,10 @@ class Sense:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What to integrate: senses, touch as printed, grid t (N,) s, Δt s, σ_x (M,), start (M,), λ 1/s of the prior."""
+    """What to integrate: senses, touch as printed, grid t (N,) s, Δt s, σ_x (M,), start (M,).
+
+    learning: λ, 1/s, the rate at which the prior follows the belief; 1 is the paper's.
+    """
 
     senses: tuple[Sense, ...]
     touch: Literal | None
@@ -57,53 +58,70 @@ class Plan:
     dt: float
     sigma_x: Array
     start: Array
-    learning: float = LEARNING
+    learning: float = 1.0
+
+    @property
+    def encoders(self) -> Sense | None:
+        """The sense of encoders, if there is one."""
+        return next((sense for sense in self.senses if sense.name == "encoders"), None)
+
+    @cached_property
+    def rows(self) -> tuple[Array, Array]:
+        """Readings (N,R), NaN where absent, and variances (N,R) of all senses beside each other."""
+        pairs = [(np.empty((len(self.t), 0)),) * 2, *((sense.s, sense.sigma) for sense in self.senses)]
+        s, sigma = (np.hstack(part) for part in zip(*pairs, strict=True))
+        return s, sigma
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """g (R,), J (R,M) and the models' own variances (R,) of all senses at x (M,)."""
+        parts = [(np.empty(0), np.empty((0, len(x))), np.empty(0)), *(sense.predict(x) for sense in self.senses)]
+        g, jac, own = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return g, jac, own
 
 
 def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple[Plan, Evidence, Timeline]:
     """Senses on the grid with their variances: the paper's by preset, else by `precision`."""
-    printed = settings.preset == "paper" or settings.touch == "literal"
+    if settings.preset == "paper":
+        settings = replace(settings, precision="fixed", touch="literal")
     # descent integrates over time, so frames of one touch may count separately;
     # faults are reported, but their readings are used as in the paper
-    evidence = screened(features, body, settings, whole=False, repairs=False)
+    evidence = warned(screened(features, body, settings, whole=False, repairs=False), body, settings)
     rate = settings.rate or RATE
     line = timeline(evidence, rate)
-    t, dt, m = line.t[line.outputs], 1.0 / rate, len(body.joints)
-    paper = settings.preset == "paper" or settings.precision == "fixed"
-    precision = None if paper else resolve(evidence, body, settings)
-    evidence = evidence if paper else warned(evidence, body, settings)
-    found = np.full(m, PAPER[1]) if precision is None else precision.encoder
-    noise = typed.of_joints(settings.sigma_encoders, body.joints, found)
-    senses = [] if evidence.encoders is None else [_encoders(evidence, body, t, noise, paper)]
-    width = image_width(features, body)
-    for sighting in evidence.sightings:
-        if sighting.name == "touch" and printed:
-            continue
-        s, rows = on_grid(sighting.t, sighting.values, t)
-        unit = width if paper else 1.0
-        scale = 1.0 if precision is None else precision.scale.get(sighting.name, 1.0)
-        own, variance = scale * sighting.var[rows] / unit**2, typed.of_track(settings, sighting.name)
-        sigma = np.full(s.shape, PAPER[2]) if paper and sighting.name != "touch" else own
-        sigma = sigma if variance is None else np.full(s.shape, variance / unit**2)
-        senses.append(Sense(sighting.name, s / unit, sighting.model, sigma, unit, paper))
-    touch = literal(features, body, t, dt) if printed and any(s.name == "touch" for s in evidence.sightings) else None
-    sigma_x = np.full(m, PAPER[0]) if precision is None else _wander(senses[:1], noise)
-    first, learning = start(evidence, settings, body.joints), LEARNING if settings.lambda_ is None else settings.lambda_
-    return Plan(tuple(senses), touch, t, dt, sigma_x, first, learning), evidence, line
+    t, paper = line.t[line.outputs], settings.precision == "fixed"
+    noise = typed.precision(resolve(evidence, body, settings), settings, body.joints)
+    senses = [] if evidence.encoders is None else [_encoders(evidence.encoders, body, t, noise.encoder, paper)]
+    sigma_x = np.full(len(noise.encoder), PAPER[0]) if paper else _wander(senses, noise.encoder)
+    felt = settings.touch == "literal" and any(s.name == "touch" for s in evidence.sightings)
+    width = image_width(features, body) if paper else None
+    seen = [s for s in typed.sightings(evidence.sightings, settings) if not (felt and s.name == "touch")]
+    senses += [_visual(s, t, noise.scale.get(s.name, 1.0), width, typed.of_track(settings, s.name)) for s in seen]
+    touch = literal(features, body, t, 1.0 / rate) if felt else None
+    learning = Plan.learning if settings.lambda_ is None else settings.lambda_
+    first = start(evidence, settings, body.joints)
+    return Plan(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, learning), evidence, line
 
 
 def calmest(plan: Plan) -> Array:
     """The least σ_x (M,) for any finer grid; the paper's is the same on all."""
-    learned = plan.senses and plan.senses[0].name == "encoders" and (plan.sigma_x != PAPER[0]).any()
-    least = plan.senses[0].sigma.min(axis=0) * GAINS[0] / (1.0 - GAINS[0]) if learned else plan.sigma_x
-    return np.asarray(np.minimum(plan.sigma_x, least))
+    if plan.encoders is None or plan.encoders.printed:
+        return plan.sigma_x
+    return np.asarray(np.minimum(plan.sigma_x, plan.encoders.sigma.min(axis=0) * GAINS[0] / (1.0 - GAINS[0])))
 
 
-def _encoders(evidence: Evidence, body: BodyModel, t: Array, variance: Array, printed: bool) -> Sense:
-    assert evidence.encoders is not None
-    s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, t)
-    sigma = np.broadcast_to(variance, s.shape)
-    return Sense("encoders", s, body.senses.get("encoders"), sigma, printed=printed)
+def _encoders(found: Encoders, body: BodyModel, t: Array, variance: Array, printed: bool) -> Sense:
+    s, _ = on_grid(found.t, found.values, t)
+    return Sense("encoders", s, body.senses.get("encoders"), np.broadcast_to(variance, s.shape), printed=printed)
+
+
+def _visual(found: Sighting, t: Array, scale: float, width: float | None, given: float | None) -> Sense:
+    """A track or touch; in image widths with the paper's variance if `width` (px), and no variance, is given."""
+    s, rows = on_grid(found.t, found.values, t)
+    if width is None:
+        return Sense(found.name, s, found.model, scale * found.var[rows])
+    own = found.name == "touch" or given is not None
+    sigma = found.var[rows] / width**2 if own else np.full(s.shape, PAPER[2])
+    return Sense(found.name, s / width, found.model, sigma, width, printed=True)
 
 
 def on_grid(t: Array, values: Array, grid: Array) -> tuple[Array, Array]:
@@ -123,10 +141,15 @@ def on_grid(t: Array, values: Array, grid: Array) -> tuple[Array, Array]:
 
 def nearest(t: Array, at: Array) -> Array:
     """Index (N,) of the time in ascending t nearest to each of `at`."""
-    right = np.clip(np.searchsorted(t, at), 1, max(len(t) - 1, 1))
-    left = right - 1
-    closer = np.abs(at - t[left]) <= np.abs(t[np.minimum(right, len(t) - 1)] - at)
-    return np.where(closer, left, np.minimum(right, len(t) - 1))
+    return np.asarray(np.searchsorted(0.5 * (t[1:] + t[:-1]), at))
+
+
+def at_instants(line: Timeline, x: Array, dt: float, nats: Array) -> tuple[Array, Array, Array]:
+    """Of each instant: the grid's last row (E,), its angles and rates (E,2M) of x (N,M), and new nats (E,)."""
+    held = np.maximum(np.searchsorted(line.t[line.outputs], line.t, "right") - 1, 0)
+    rate, every = np.diff(x, axis=0, prepend=x[:1]) / dt, np.zeros(len(line.t))
+    every[line.outputs] = nats
+    return held, np.concatenate([x, rate], axis=1)[held], every
 
 
 def image_width(features: Features, body: BodyModel) -> float:
@@ -137,9 +160,9 @@ def image_width(features: Features, body: BodyModel) -> float:
     return float(max(seen, default=1.0))
 
 
-def _wander(encoders: list[Sense], noise: Array) -> Array:
+def _wander(encoders: Sequence[Sense], noise: Array) -> Array:
     """σ_x (M,): motion variance with which a static belief predicts the next encoder reading best."""
-    if not encoders or encoders[0].name != "encoders":
+    if not encoders:
         return noise
     gains, s = GAINS[:, None], encoders[0].s
     x, squares = np.where(np.isfinite(s[0]), s[0], 0.0) + 0.0 * gains, np.zeros((len(gains), s.shape[1]))

@@ -13,7 +13,7 @@ from ..measurements.gather import start
 from ..measurements.timeline import timeline
 from . import results
 from .contract import Method
-from .grid import RATE, on_grid
+from .grid import RATE, at_instants, on_grid
 from .results import Beliefs
 
 PROCESS, NOISE = 0.001, 1.0
@@ -26,18 +26,13 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     evidence = screened(features, body, replace(settings, senses=_encoders(body, settings)), repairs=False)
     assert evidence.encoders is not None
     line = timeline(evidence, settings.rate or RATE)
-    t = line.t[line.outputs]
-    s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, t)
+    s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, line.t[line.outputs])
     x, var, before, before_var, nats = static(s, start(evidence, settings, body.joints))
-    held = np.maximum(np.searchsorted(t, line.t, "right") - 1, 0)
+    held, z, every = at_instants(line, x, 1.0 / (settings.rate or RATE), nats)
     errors = np.full((len(line.t), s.shape[1]), np.nan)
     errors[line.outputs] = (s - before) / np.sqrt(before_var + NOISE)
-    rate = np.diff(x, axis=0, prepend=x[:1]) * (settings.rate or RATE)
-    every = np.zeros(len(line.t))
-    every[line.outputs] = nats
     cov, before_cov = (v[held][:, :, None] * np.eye(s.shape[1]) for v in (var, before_var))
     used = {"process": PROCESS, "encoder": NOISE}
-    z = np.concatenate([x, rate], axis=1)[held]
     beliefs = Beliefs(z, cov, every, before[held], before_cov, errors, {}, used)
     return results.estimate("kalman", body, evidence, line, beliefs)
 

@@ -8,9 +8,6 @@ from ...body_model import BodyModel, ForwardModel, TouchConstants
 from ...types import Array, Features
 from ..measurements.touch import weights
 
-VARIANCE = 1.0
-"""σ_t, which the paper does not state."""
-
 
 @dataclass(frozen=True, eq=False)
 class Literal:
@@ -23,13 +20,13 @@ class Literal:
     temporal: Array
 
     def pull(self, k: int, x: Array) -> tuple[float, Array]:
-        """Prediction error e_t = (s_t − g_t)/σ_t, s_t being g_t's best value, and ∂g_t/∂x (M,) at step k."""
+        """Error e_t = (s_t − g_t)/σ_t, s_t being g_t's best value and σ_t, not printed, 1; ∂g_t/∂x (M,) at step k."""
         mean, jac, _ = self.model.predict(x[None])
         apart = mean[0] - self.hand[k]
         best = self.constants.a1 * self.temporal[k]
         g = best * np.exp(-self.constants.b1 * float(apart @ apart))
         # ∂g_t/∂x = −2 b₁ g_t (g_v − o_v)ᵀ J
-        return float(best - g) / VARIANCE, -2.0 * self.constants.b1 * g * (apart @ jac[0])
+        return float(best - g), -2.0 * self.constants.b1 * g * (apart @ jac[0])
 
 
 def literal(features: Features, body: BodyModel, t: Array, dt: float) -> Literal | None:

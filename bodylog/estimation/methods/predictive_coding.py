@@ -16,10 +16,8 @@ from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline
 from . import results
 from .contract import VARIANCES, Method
-from .grid import Plan, Sense, calmest, plan_for
+from .grid import Plan, at_instants, calmest, plan_for
 from .results import Beliefs
-
-__all__ = ["Plan", "Sense", "descent", "estimate", "explicitly", "implicitly", "plan_for", "stable_step"]
 
 POSTURES, MARGIN = 16, 0.8
 """Postures of the log at which stability is checked, and the share of the largest stable Δt that is recommended."""
@@ -54,54 +52,49 @@ def implicitly(plan: Plan) -> tuple[Array, Array, Array]:
     xs, cov, nats = np.empty((n, m)), np.empty((n, m, m)), np.empty(n)
     follow = plan.dt * plan.learning / (plan.sigma_x + plan.dt * plan.learning)
     for k in range(n):
-        force, hessian, nats[k] = descent(plan, k, x, mu)
+        force, hessian, nats[k] = descent(plan, k, x, mu, plan.predict(x))
         x = x + np.linalg.solve(eye + plan.dt * hessian, plan.dt * force)
         mu = mu + follow * (x - mu)
         xs[k], cov[k] = x, np.linalg.inv(hessian)
     return xs, cov, nats
 
 
-def descent(plan: Plan, k: int, x: Array, mu: Array) -> tuple[Array, Array, float]:
-    """Force ∂F/∂x (M,), its Gauss–Newton Hessian (M,M) and the free energy at step k, errors at equilibrium."""
-    e = x - mu
-    force, hessian = -e / plan.sigma_x, np.diag(1.0 / plan.sigma_x)
-    nats = 0.5 * float((e * e / plan.sigma_x + np.log(2 * np.pi * plan.sigma_x)).sum())
-    for sense in plan.senses:
-        here = np.isfinite(sense.s[k])
-        if here.any():
-            g, jac, own = sense.predict(x)
-            e, jac, sigma = (sense.s[k] - g)[here], jac[here], (sense.sigma[k] + own)[here]
-            force = force + jac.T @ (e / sigma)
-            hessian = hessian + jac.T @ (jac / sigma[:, None])
-            nats += 0.5 * float((e * e / sigma + np.log(2 * np.pi * sigma)).sum())
+def descent(
+    plan: Plan, k: int, x: Array, mu: Array, predicted: tuple[Array, Array, Array]
+) -> tuple[Array, Array, float]:
+    """Force ∂F/∂x (M,), its Gauss–Newton Hessian (M,M) and the free energy at step k, errors at equilibrium.
+
+    predicted: what the plan predicts at x.
+    """
+    (g, jac, own), (s, sigma) = predicted, (part[k] for part in plan.rows)
+    here = np.isfinite(s)
+    # the prior is one more sense, which reads μ
+    e, var = np.append(mu - x, (s - g)[here]), np.append(plan.sigma_x, (sigma + own)[here])
+    slope = np.vstack([np.eye(len(x)), jac[here]])
+    force, hessian = slope.T @ (e / var), slope.T @ (slope / var[:, None])
     if plan.touch is not None and plan.touch.active[k]:
-        pull, slope = plan.touch.pull(k, x)
-        force, hessian = force + slope * pull, hessian + np.outer(slope, slope)
-    return force, hessian, nats
+        pull, lean = plan.touch.pull(k, x)
+        force, hessian = force + lean * pull, hessian + np.outer(lean, lean)
+    return force, hessian, 0.5 * float((e * e / var + np.log(2 * np.pi * var)).sum())
 
 
 def explicitly(plan: Plan) -> tuple[Array, Array, Array]:
     """As `implicitly`, by Algorithm 1: belief, errors and prior integrated together, one Euler step per instant."""
-    m, n = len(plan.start), len(plan.t)
-    x, mu, ex = plan.start.copy(), plan.start.copy(), np.zeros(len(plan.start))
-    errors = [np.zeros(sense.s.shape[1]) for sense in plan.senses]
+    m, n, (s, sigma) = len(plan.start), len(plan.t), plan.rows
+    x, mu, ex, errors = plan.start.copy(), plan.start.copy(), np.zeros(len(plan.start)), np.zeros(s.shape[1])
     xs, cov, nats = np.full((n, m), np.nan), np.empty((n, m, m)), np.empty(n)
     for k in range(n):
-        _, hessian, nats[k] = descent(plan, k, x, mu)
-        dx = -ex
-        for i, sense in enumerate(plan.senses):
-            here = np.isfinite(sense.s[k])
-            g, jac, own = sense.predict(x)
-            sigma = sense.sigma[k] + own
-            errors[i] = np.where(here, errors[i], 0.0)  # absent senses contribute nothing
-            dx = dx + jac.T @ errors[i]
-            errors[i] = errors[i] + plan.dt * np.where(here, sense.s[k] - g - sigma * errors[i], 0.0)
+        g, jac, own = plan.predict(x)
+        _, hessian, nats[k] = descent(plan, k, x, mu, (g, jac, own))
+        here = np.isfinite(s[k])
+        errors = np.where(here, errors, 0.0)  # absent senses contribute nothing
+        dx, de = jac.T @ errors - ex, np.where(here, s[k] - g - (sigma[k] + own) * errors, 0.0)
         if plan.touch is not None and plan.touch.active[k]:
-            pull, slope = plan.touch.pull(k, x)
-            dx = dx + slope * pull
+            pull, lean = plan.touch.pull(k, x)
+            dx = dx + lean * pull
         # corrected (docs/paper.md, Errata): ė_x = x̂ − μ − σ_x e_x, and μ̇ = λ e_x
         dex, dmu = x - mu - plan.sigma_x * ex, plan.learning * ex
-        x, ex, mu = x + plan.dt * dx, ex + plan.dt * dex, mu + plan.dt * dmu
+        x, ex, mu, errors = (old + plan.dt * rate for old, rate in ((x, dx), (ex, dex), (mu, dmu), (errors, de)))
         if not np.abs(x).max() < FAR:
             break
         xs[k], cov[k] = x, np.linalg.inv(hessian)
@@ -110,10 +103,10 @@ def explicitly(plan: Plan) -> tuple[Array, Array, Array]:
 
 def step_warning(plan: Plan) -> tuple[Finding, ...]:
     """A finding if Δt exceeds the stable step of Algorithm 1, with the slowest stable rate."""
-    if plan.dt <= _stable_everywhere(plan):
+    if plan.dt <= stable_step(plan):
         return ()
     # σ_x is smaller on a finer grid, and the arm passes between the postures looked at
-    rate = _rounded_up(1.0 / (MARGIN * _stable_everywhere(replace(plan, sigma_x=calmest(plan)))))
+    rate = _rounded_up(1.0 / (MARGIN * stable_step(replace(plan, sigma_x=calmest(plan)))))
     text = f"explicit with Δt {plan.dt:g} s is unstable, the largest stable Δt is {1.0 / rate:.2g} s"
     return (Finding("warning", f"step: {text}; type --rate {rate:g} or --step implicit"),)
 
@@ -134,29 +127,26 @@ def _without_encoders(plan: Plan, evidence: Evidence, names: tuple[str, ...]) ->
     return (Finding("warning", f"predictive-coding: {text}"),)
 
 
-def _stable_everywhere(plan: Plan) -> float:
-    """The least stable step (s) over postures of the log's encoders."""
-    postures = [plan.start]
-    if plan.senses and plan.senses[0].name == "encoders" and plan.senses[0].model is None:
-        readings = plan.senses[0].s[np.isfinite(plan.senses[0].s).all(axis=1)]
-        postures += list(readings[np.linspace(0, len(readings) - 1, min(POSTURES, len(readings))).astype(int)])
-    return min(stable_step(replace(plan, start=x)) for x in postures)
-
-
 def stable_step(plan: Plan) -> float:
-    """Largest Δt (s) for which one explicit step shrinks every mode of the linearised dynamics at the start."""
-    x, m = plan.start, len(plan.start)
-    blocks = [(jac, sense.sigma.min(axis=0) + own) for sense in plan.senses for _, jac, own in [sense.predict(x)]]
-    size = 3 * m + sum(len(sigma) for _, sigma in blocks)
-    a = np.zeros((size, size))  # rows: x, e_x, μ, then the senses' errors
-    own, ex, mu = slice(0, m), slice(m, 2 * m), slice(2 * m, 3 * m)
-    a[own, ex], a[ex, own], a[ex, mu] = -np.eye(m), np.eye(m), -np.eye(m)
-    a[ex, ex], a[mu, ex] = -np.diag(plan.sigma_x), plan.learning * np.eye(m)
-    at = 3 * m
-    for jac, sigma in blocks:
-        rows = slice(at, at + len(sigma))
-        a[own, rows], a[rows, own], a[rows, rows] = jac.T, -jac, -np.diag(sigma)
-        at += len(sigma)
+    """Largest Δt (s) for which one explicit step shrinks every mode, linearised at postures of the log's encoders."""
+    postures, sense = [plan.start], plan.encoders
+    if sense is not None and sense.model is None:
+        readings = sense.s[np.isfinite(sense.s).all(axis=1)]
+        postures += list(readings[np.linspace(0, len(readings) - 1, min(POSTURES, len(readings))).astype(int)])
+    return min(_stable_step_at(plan, x) for x in postures)
+
+
+def _stable_step_at(plan: Plan, x: Array) -> float:
+    """Largest Δt (s) for which one explicit step shrinks every mode of the dynamics linearised at x (M,)."""
+    _, jac, own = plan.predict(x)
+    sigma, i, o = plan.rows[1].min(axis=0) + own, np.eye(len(x)), np.zeros((len(x), len(x)))
+    none = np.zeros_like(jac)
+    a = np.block([  # rows and columns: x, e_x, μ, the senses' errors
+        [o, -i, o, jac.T],
+        [i, -np.diag(plan.sigma_x), -i, none.T],
+        [o, plan.learning * i, o, none.T],
+        [-jac, none, none, -np.diag(sigma)],
+    ])  # fmt: skip
     modes = np.linalg.eigvals(a)
     modes = modes[modes.real < -1e-9]
     return float((-2.0 * modes.real / np.abs(modes) ** 2).min()) if len(modes) else np.inf
@@ -167,14 +157,11 @@ def _beliefs(
     findings: tuple[Finding, ...], explicit: bool,
 ) -> Beliefs:  # fmt: skip
     """Beliefs on the grid, held until the next, at every instant of the timeline."""
-    rate = np.diff(x, axis=0, prepend=x[:1]) / plan.dt
-    held = np.maximum(np.searchsorted(plan.t, line.t, "right") - 1, 0)
+    held, z, every = at_instants(line, x, plan.dt, nats)
     before = np.maximum(np.searchsorted(plan.t, line.t, "left") - 1, 0)
-    every = np.zeros(len(line.t))
-    every[line.outputs] = nats
     errors, moved = np.full((len(line.t), x.shape[1]), np.nan), _moved(plan, x, cov)
-    if evidence.encoders is not None:
-        then, sense = before[line.encoders], plan.senses[0]
+    if evidence.encoders is not None and (sense := plan.encoders) is not None:
+        then = before[line.encoders]
         read, slope = x[then], np.ones_like(x[then])
         if sense.model is not None:
             read, jac, _ = sense.model.predict(read)
@@ -183,7 +170,6 @@ def _beliefs(
         errors[line.encoders] = (evidence.encoders.values - read) / std
     settings = {"step": "explicit" if explicit else "implicit", "dt": plan.dt, "sigma_x": plan.sigma_x.tolist()}
     settings |= {f"sigma_{s.name}": np.median(s.sigma, axis=0).tolist() for s in plan.senses}
-    z = np.concatenate([x, rate], axis=1)[held]
     return Beliefs(z, cov[held], every, x[before], moved[before], errors, {}, settings, (), findings)
 
 
@@ -192,8 +178,8 @@ def _moved(plan: Plan, x: Array, cov: Array) -> Array:
 
     It grows by the encoders' mean squared deviation from the static belief, beyond their noise.
     """
-    var, sense = np.einsum("nii->ni", cov), plan.senses[0] if plan.senses else None
-    if sense is not None and sense.name == "encoders" and sense.model is None:
+    var, sense = np.einsum("nii->ni", cov), plan.encoders
+    if sense is not None and sense.model is None:
         present, held, square = np.isfinite(sense.s), plan.start, np.zeros(x.shape[1])
         for readings, noise, here in zip(sense.s, sense.sigma, present, strict=True):
             off = np.where(here, readings - held, 0.0)

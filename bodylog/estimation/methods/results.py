@@ -1,13 +1,13 @@
 """From beliefs at instants to an Estimate: errors and predictions per sense, free energy per output, names, clocks."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from ...body_model import BodyModel
-from ...types import Array, Estimate, Fault, Finding, Hypothesis, Series
+from ...types import Array, Estimate, Fault, Finding, Series
 from ..measurements.long_arrays import seen as seen_rows
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
@@ -26,8 +26,7 @@ class Beliefs:
     scale: Mapping[str, float]
     settings: Mapping[str, Any]
     faults: tuple[Fault, ...] = ()
-    findings: tuple[Finding, ...] = field(default_factory=tuple)
-    hypotheses: tuple[Hypothesis, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, beliefs: Beliefs) -> Estimate:
@@ -43,20 +42,16 @@ def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, b
     if evidence.encoders is not None and np.isfinite(evidence.encoders.values).any():
         rows = beliefs.encoder_errors[line.encoders]
         errors["encoders"] = Series(evidence.encoders.t, rows, body.joints, "std", evidence.encoders.source_ns)
+    hypotheses = {"hypotheses": [asdict(one) for one in evidence.hypotheses]} if evidence.hypotheses else {}
     return Estimate(
         method, series(z[:, :m], "rad"), series(z[:, m : 2 * m], "rad/s"), beliefs.cov[at], errors,
         per_output(beliefs.nats, at), evidence.used,
         {name: predicted for name, (_, predicted, _) in sights.items() if name != "touch"},
         {name: cov for name, (_, _, cov) in sights.items() if name != "touch"},
-        {**beliefs.settings, **weighed((*evidence.hypotheses, *beliefs.hypotheses))},
+        {**beliefs.settings, **hypotheses},
         series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
         (*evidence.faults, *beliefs.faults), (*evidence.findings, *beliefs.findings),
     )  # fmt: skip
-
-
-def weighed(hypotheses: tuple[Hypothesis, ...]) -> dict[str, Any]:
-    """Settings with the list of hypotheses, each with its nats, threshold, and whether it was chosen."""
-    return {"hypotheses": [asdict(one) for one in hypotheses]} if hypotheses else {}
 
 
 def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, Series, Array]:

@@ -66,8 +66,8 @@ class NoiseModel:
         return np.asarray(share[:, None] * share * cov)
 
 
-PAPER = (1.0, 5.0)
-"""The paper's variances of encoders (rad²) and pixels (px²)."""
+PAPER = (1.0, 1.0, 5.0)
+"""The paper's variances σ_x of motion and σ_p of encoders (rad²), and σ_v of pixels (px², or of image widths)."""
 
 
 def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseModel:
@@ -75,7 +75,7 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseM
     encoder, process = np.array(body.noise.encoder, float), np.array(body.noise.process, float)
     scale = {sighting.name: 1.0 for sighting in evidence.sightings}
     if settings.precision == "fixed":
-        return NoiseModel(np.full(len(encoder), PAPER[0]), process, None, _fixed(evidence))
+        return NoiseModel(np.full(len(encoder), PAPER[1]), process, None, _fixed(evidence))
     if settings.precision != "auto":
         return NoiseModel(encoder, process, None, scale)
     near = {name: NEAR for name in scale if name != "touch"}
@@ -147,4 +147,4 @@ def warned(evidence: Evidence, body: BodyModel, settings: Estimation) -> Evidenc
 def _fixed(evidence: Evidence) -> dict[str, float]:
     """Factors that bring each track's median variance to the paper's σ_v, except touch."""
     visual = [sighting for sighting in evidence.sightings if sighting.name != "touch"]
-    return {s.name: float(PAPER[1] / np.median(s.var)) for s in visual}
+    return {s.name: float(PAPER[2] / np.median(s.var)) for s in visual}

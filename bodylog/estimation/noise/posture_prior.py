@@ -30,11 +30,13 @@ class PosturePrior:
 
     def fill(self, t: Array, encoders: Array, var: Array) -> tuple[Array, Array]:
         """Encoder rows (E,M) and variances with a pseudo-reading at each instant, weighted by the time step."""
-        dt = np.diff(t, prepend=t[0])
         encoders, var = encoders.copy(), var.copy()
-        encoders[1:, self.joints] = self.mean[self.joints]
-        var[1:, self.joints] = self.density[self.joints] / dt[1:, None]
+        encoders[1:], var[1:] = self.read(encoders[1:], var[1:], np.diff(t)[:, None])
         return encoders, var
+
+    def read(self, encoders: Array, var: Array, dt: Array | float) -> tuple[Array, Array]:
+        """Encoder rows (…,M) and variances with a pseudo-reading after dt (…,1) s."""
+        return np.where(self.joints, self.mean, encoders), np.where(self.joints, self.density / dt, var)
 
     def add_prior(self, readings: Array, var: Array, joints: Array, since: Array) -> tuple[Array, Array, Array]:
         """Readings (M,) rad and variances with a pseudo-reading of silent `joints` (M,) bool; and which joints.
