@@ -1,7 +1,7 @@
 """Encoder offsets: whether the log needs one, which encoder has it, and since when it drifts."""
 
-from collections.abc import Callable, Container, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,11 +11,9 @@ from ..inference.solution import Solution
 from ..measurements.records import Encoders
 from ..noise.quantisation import step_size
 from .offset_score import offset_score
-from .offset_step import EARLY, Step, free_energy, likeliest_step
+from .offset_step import Way, free_energy, likeliest_step
 from .threshold import LEAST, NATS, SIGMAS
 
-MOST = 2000
-"""Most instants used for the size of a fault."""
 WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
 """rad²/s: random-walk variances tried; the last one is a constant offset, as of a joint homed differently."""
 EITHER = " or "
@@ -24,131 +22,85 @@ OFFSET, STEP = "encoder offset", "encoder step"
 """Names of hypotheses."""
 
 
-@dataclass(frozen=True, eq=False)
-class Chosen:
-    """A problem, its cost (nats), by joint number the joints whose offset explains nearly as much, and steps found.
-
-    hypotheses {(name, joint): with the nats won over the problem before}.
-    """
-
-    problem: Problem
-    nats: float
-    alternatives: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
-    steps: Mapping[int, Step] = field(default_factory=dict)
-    hypotheses: Mapping[tuple[str, str], Hypothesis] = field(default_factory=dict)
-
-    def of(self, problem: Problem) -> "Chosen":
-        """Return a copy with another problem."""
-        return replace(self, problem=problem)
-
-
-def suspected_encoders(problem: Problem, solved: Solution) -> tuple[Array, Array]:
-    """Encoders (M,) bool whose offset would, to first order, explain NATS nats of the log, and these nats (M,)."""
+def suspected_encoders(problem: Problem, solved: Solution) -> tuple[Problem, Array]:
+    """The problem with the hypotheses of an offset of each encoder, to first order, and which (M,) bool win NATS."""
     gain, offset, var = offset_score(problem, solved, WALKS[0])
     certain = _significant(offset, var, smallest_fault(problem.evidence.encoders))
-    return np.asarray((gain > NATS) & certain.any(axis=0) & (_walks(problem) == 0)), gain
+    found = ((OFFSET, j, nats, False) for j, nats in enumerate(gain)) if gain.any() else ()
+    return _weighed(problem, found), np.asarray((gain > NATS) & certain.any(axis=0) & (_walks(problem) == 0))
 
 
-def with_hypotheses(problem: Problem, gains: Array, chosen: "Chosen | None" = None) -> Problem:
-    """The problem with a hypothesis of an offset of each encoder: `chosen`, else with its first-order nats (M,)."""
-    if not gains.any():
-        return problem
-    evidence, exact = problem.evidence, {} if chosen is None else chosen.hypotheses
-    first = {
-        (OFFSET, name): Hypothesis(OFFSET, name, float(gain), NATS, False)
-        for name, gain in zip(evidence.joints, gains, strict=True)
-    }
-    found = (*evidence.hypotheses, *{**first, **exact}.values())
-    return replace(problem, evidence=replace(evidence, hypotheses=found))
+def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Problem:
+    """Add one offset after the other while each wins NATS, and the hypotheses compared; `cost` gives nats.
 
-
-def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
-    """Return the problem with an offset for each encoder where that wins NATS; `cost` gives nats.
-
-    suspected (M,) bool: the encoders tried first, at least one. Steps are taken out of the readings, and are faults and
-    hypotheses of the evidence.
+    suspected (M,) bool: the encoders tried first, at least one. Steps are taken out of the readings, and are faults of
+    the evidence. Joints with an offset are keys of the problem's `alternatives`.
     """
-    first = cost(problem)
-    found = _added(Chosen(problem, free_energy(solved) if np.isinf(first) else first), solved, suspected, cost)
-    if found.problem is problem:
+    first, found = cost(problem), problem
+    nats = free_energy(solved) if np.isinf(first) else first
+    while suspected.any():
+        walks = {j: cost(_with_walk(found, j, WALKS[0])) for j in np.flatnonzero(suspected).tolist()}
+        found = _weighed(found, ((OFFSET, j, nats - walk, False) for j, walk in walks.items()))
+        if min(walks.values()) > nats - NATS:
+            break
+        # the kind of offset is chosen before a further one is tried: one that wanders too freely hides others
+        ways = {j: _best_way(found, j, walks[j], solved, cost) for j in _near(walks)}
+        # among indistinguishable joints take the smallest walk: a larger one follows errors of the body model
+        near = sorted(_near({j: way.nats for j, way in ways.items()}))
+        joint = min(near, key=lambda j: (_walks(ways[j].problem)[j], ways[j].nats))
+        compared = [(STEP if way.fault else OFFSET, j, nats - way.nats, j == joint) for j, way in ways.items()]
+        found, nats = _weighed(_with_way(ways[joint], joint, near), compared), ways[joint].nats
+        # once one offset is modelled, another may show
+        suspected = (_walks(found) == 0) & ~np.isin(np.arange(len(suspected)), list(found.alternatives))
+    if not found.alternatives:
         return found
     # images that looked blurred because of the offset regain the std that perception states
-    precision = found.problem.precision
-    sharp = replace(found.problem, precision=replace(precision, scale=dict.fromkeys(precision.scale, 1.0)))
-    unchanged = sharp.precision.scale == precision.scale or cost(sharp) >= found.nats
-    return _named(found if unchanged else found.of(sharp))
+    sharp = replace(found, precision=replace(found.precision, scale=dict.fromkeys(found.precision.scale, 1.0)))
+    return sharp if sharp.precision.scale != found.precision.scale and cost(sharp) < nats else found
 
 
-def _named(found: Chosen) -> Chosen:
-    """The same with its steps among the faults of the evidence; one from the start is no jump."""
-    evidence, start = found.problem.evidence, found.problem.timeline.t[0]
-    faults = tuple(
-        Fault("encoders", either, kind, step.since, np.nan if EITHER in either else step.size, "rad", step.std)
-        for joint, step in found.steps.items()
-        for kind in ["jumping" if step.since > start + EARLY else "drifting"]
-        for either in [EITHER.join(evidence.joints[k] for k in (joint, *found.alternatives[joint]))]
-    )
-    return found.of(replace(found.problem, evidence=replace(evidence, faults=(*evidence.faults, *faults))))
+def _near(costs: Mapping[int, float]) -> list[int]:
+    """Joints whose cost is within NATS of the least."""
+    return [joint for joint, nats in costs.items() if nats < min(costs.values()) + NATS]
 
 
-def _added(found: Chosen, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
-    """Add one offset after the other while each wins NATS."""
-    while suspected.any():
-        drift = _walks(found.problem)
-        asked = np.flatnonzero(suspected)
-        own = [np.arange(len(drift)) == j for j in asked]
-        costs = np.array([cost(with_drift(found.problem, np.where(one, WALKS[0], drift))) for one in own])
-        best, joints = int(costs.argmin()), found.problem.evidence.joints
-        tried = {j: found.nats - nats for j, nats in zip(asked.tolist(), costs, strict=True)}
-        if costs[best] > found.nats - NATS:
-            return replace(found, hypotheses={**found.hypotheses, **_compared(joints, tried, {}, (), None)})
-        near = [int(j) for j, nats in zip(asked, costs, strict=True) if nats < costs[best] + NATS]
-        # the kind of offset is chosen before a further one is tried: one that wanders too freely hides others
-        ways = {j: _best_way(found.problem, j, float(costs[asked == j][0]), solved, cost) for j in near}
-        least = min(way.nats for way in ways.values())
-        # among indistinguishable joints take the smallest walk: a larger one follows errors of the body model
-        near = [j for j, way in ways.items() if way.nats < least + NATS]
-        joint = min(near, key=lambda j: (_walks(ways[j].problem)[j], ways[j].nats, j))
-        way, others = ways[joint], tuple(sorted(j for j in near if j != joint))
-        steps = {**found.steps, joint: way} if isinstance(way, Step) else found.steps
-        won = {j: found.nats - one.nats for j, one in ways.items()}
-        stepping = [j for j, one in ways.items() if isinstance(one, Step)]
-        hypotheses = {**found.hypotheses, **_compared(joints, tried, won, stepping, joint)}
-        found = Chosen(way.problem, way.nats, {**found.alternatives, joint: others}, steps, hypotheses)
-        # once one offset is modelled, another may show
-        suspected = (_walks(found.problem) == 0) & ~np.isin(np.arange(len(drift)), list(steps))
-    return found
+def _weighed(problem: Problem, found: Iterable[tuple[str, int, float, bool]]) -> Problem:
+    """The problem with further hypotheses: kind, joint, nats won, chosen or not; the last one of a joint and kind."""
+    evidence = problem.evidence
+    each = (Hypothesis(kind, evidence.joints[j], float(nats), NATS, won) for kind, j, nats, won in found)
+    new = {(one.name, one.about): one for one in each}
+    known = [new.pop((one.name, one.about), one) for one in evidence.hypotheses]
+    return replace(problem, evidence=replace(evidence, hypotheses=(*known, *new.values())))
 
 
-def _compared(
-    names: tuple[str, ...], walks: Mapping[int, float], ways: Mapping[int, float], steps: Container[int],
-    chosen: int | None,
-) -> dict[tuple[str, str], Hypothesis]:  # fmt: skip
-    """Hypotheses of an offset of each joint tried: nats won by the first of its `walks`, and by the best of its `ways`.
-
-    steps: joints whose best way is a step · chosen: the joint whose offset is chosen.
-    """
-    found = {(OFFSET, joint): (nats, False) for joint, nats in walks.items()}
-    found |= {(STEP if j in steps else OFFSET, j): (nats, j == chosen) for j, nats in ways.items()}
-    each = (Hypothesis(kind, names[j], float(nats), NATS, won) for (kind, j), (nats, won) in found.items())
-    return {(one.name, one.about): one for one in each}
+def _with_way(way: Way, joint: int, near: list[int]) -> Problem:
+    """The problem with an offset of one joint, or of the others in `near`, which explain as much."""
+    evidence, others = way.problem.evidence, tuple(j for j in near if j != joint)
+    if way.fault is not None:
+        size = np.nan if others else way.fault.size
+        fault = replace(way.fault, name=EITHER.join(evidence.joints[j] for j in (joint, *others)), size=size)
+        evidence = replace(evidence, faults=(*evidence.faults, fault))
+    return replace(way.problem, evidence=evidence, alternatives={**way.problem.alternatives, joint: others})
 
 
 def _best_way(
     problem: Problem, joint: int, least: float, solved: Solution, cost: Callable[[Problem], float]
-) -> Chosen | Step:  # fmt: skip
+) -> Way:  # fmt: skip
     """The best random walk of one joint's offset, or its step where that costs less; the first walk costs `least`."""
-    own = np.arange(len(problem.start)) == joint
-    ways = [with_drift(problem, np.where(own, walk, _walks(problem))) for walk in WALKS]
-    costs = [least, *(cost(way) for way in ways[1:])]
-    walk = int(np.argmin(costs))
-    step = likeliest_step(problem, ways[walk], joint, solved)
-    return step if step is not None and step.nats < costs[walk] else Chosen(ways[walk], costs[walk])
+    problems = [_with_walk(problem, joint, walk) for walk in WALKS]
+    ways = [Way(problems[0], least), *(Way(one, cost(one)) for one in problems[1:])]
+    best = min(ways, key=lambda way: way.nats)
+    step = likeliest_step(problem, best.problem, joint, solved)
+    return step if step is not None and step.nats < best.nats else best
 
 
 def _walks(problem: Problem) -> Array:
     """Random walks (M,) rad²/s of the offsets in the problem so far."""
     return np.zeros(len(problem.start)) if problem.precision.drift is None else np.asarray(problem.precision.drift)
+
+
+def _with_walk(problem: Problem, joint: int, walk: float) -> Problem:
+    return with_drift(problem, np.where(np.arange(len(problem.start)) == joint, walk, _walks(problem)))
 
 
 def with_drift(problem: Problem, drift: Array) -> Problem:
@@ -208,7 +160,7 @@ def faults(
 
 def _largest_smoothed(t: Array, offset: Array, var: Array, walk: float) -> tuple[float, float]:
     """Largest smoothed offset and its std (rad) from filtered ones (N,) with variances (N,) at t (N,) s."""
-    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MOST)).astype(int))
+    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), 2000)).astype(int))  # as exact, and quick
     ahead = var[some][:-1] + walk * np.diff(t[some])
     back = var[some][:-1] / np.maximum(ahead, np.finfo(float).tiny)
     whole, spread = offset[some].tolist(), var[some].tolist()

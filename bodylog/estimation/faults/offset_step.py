@@ -5,11 +5,12 @@ any of N readings after the start, cost ½ ln(1 + FAR²/σ²) + ln N nats of it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from ...types import Array
+from ...types import Array, Fault
 from ..inference.convergence import DidNotConverge
 from ..inference.gauss_newton import solve
 from ..inference.initial_path import OFFSET_STD
@@ -18,25 +19,19 @@ from ..inference.solution import Solution
 from ..noise.evidence_search import ROUGHLY
 from .threshold import FAR
 
-AROUND, ROUNDS = 40, 6
-"""Readings on each side among which a step's time is refined, and most rounds of it."""
-EARLY = 1.0
-"""s: an encoder that is off this early is off from the start."""
+AROUND = 40
+"""Readings on each side among which a step's time is refined."""
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """A step of `size` ± `std` rad since a time (s), the problem without it, and its cost (nats)."""
+class Way(NamedTuple):
+    """A problem with one more offset, its cost (nats), and the fault if the offset is a step."""
 
-    since: float
-    size: float
-    std: float
     problem: Problem
     nats: float
+    fault: Fault | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial:
+class _Trial(NamedTuple):
     """A reading (row) from which on an encoder is off by `size` rad, and the solution without that step."""
 
     row: int
@@ -55,7 +50,7 @@ def free_energy(solution: Solution) -> float:
     return float(solution.fold.unfold(solution.trace.nats).sum())
 
 
-def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Solution) -> Step | None:
+def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Solution) -> Way | None:
     """The most likely step of one joint's encoder, given the problem without and with a `wandering` offset of it.
 
     None where the log determines no step, or without convergence.
@@ -71,11 +66,12 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
     try:
         path = _offsets(wandering, solve(wandering, fresh, rest=ROUGHLY), joint)
         row, size = _two_levels(path)
-        late = encoders.t - encoders.t[0] >= EARLY
+        # an encoder that is off within the first second is off from the start
+        late = encoders.t - encoders.t[0] >= 1.0
         chosen = _located(trial, encoders.values[:, joint], row, size, joint) if late[row] else None
         if chosen is None or not late[chosen.row]:
             chosen = trial(0, size)
-        return _sized(trial, chosen, encoders.t)
+        return _sized(trial, chosen, problem.evidence.joints[joint], encoders.t)
     except DidNotConverge:
         return None
 
@@ -109,7 +105,7 @@ def _located(trial: Callable[[int, float], _Trial], y: Array, row: int, size: fl
     best: _Trial | None = None
     for guess in {row, _steepest(y, row, size)}:
         rows = set[int]()
-        while guess not in rows and len(rows) < ROUNDS:
+        while guess not in rows and len(rows) < 6:
             rows.add(guess)
             tried = trial(guess, size)
             best = tried if best is None or tried.nats < best.nats else best
@@ -138,7 +134,7 @@ def _boundary(off: Array, row: int, size: float) -> int:
     return low + int(np.append(0.0, np.cumsum(np.nan_to_num(size * (2.0 * near - size)))).argmin())
 
 
-def _sized(trial: Callable[[int, float], _Trial], best: _Trial, t: Array) -> Step | None:
+def _sized(trial: Callable[[int, float], _Trial], best: _Trial, name: str, t: Array) -> Way | None:
     """The size of greatest evidence by a parabola, twice, the second time as wide as the first one's error says."""
     half, std = 0.5 * OFFSET_STD, 0.0
     for _ in range(2):
@@ -147,8 +143,9 @@ def _sized(trial: Callable[[int, float], _Trial], best: _Trial, t: Array) -> Ste
         if bend <= 0.0:
             return None
         more = np.clip((below - above) / (2.0 * half * bend), -2.0 * half, 2.0 * half)
-        best, std = trial(best.row, best.size + float(more)), bend**-0.5
+        best, std = trial(best.row, best.size + float(more)), float(bend**-0.5)
         half = 2.0 * std
     times = np.log(len(t)) if best.row else 0.0
     cost = best.nats + 0.5 * np.log1p((FAR / std) ** 2) + 0.5 * (best.size / FAR) ** 2 + times
-    return Step(float(t[best.row]), best.size, float(std), best.problem, float(cost))
+    kind = "jumping" if best.row else "drifting"
+    return Way(best.problem, float(cost), Fault("encoders", name, kind, float(t[best.row]), best.size, "rad", std))

@@ -135,22 +135,19 @@ def offset(problem: Problem, solved: Solution) -> Problem:
 
     A smoother's process variance makes its forward pass lag, which looks like offsets, so the filter's is used here.
     """
-    plain, likeliest = problem, problem.precision.likeliest
-    suspected, gains = encoder_offset.suspected_encoders(problem, solved)
+    likeliest = problem.precision.likeliest
+    plain, suspected = encoder_offset.suspected_encoders(problem, solved)
+    found = plain
     if suspected.any() and likeliest is not None:
-        problem = replace(problem, precision=replace(problem.precision, process=likeliest, fewer={}))
+        found = replace(plain, precision=replace(plain.precision, process=likeliest, fewer={}))
         try:
-            solved = walk(problem) if problem.stepwise else solve(problem, solved, rest=ROUGHLY)
+            solved = walk(found) if found.stepwise else solve(found, solved, rest=ROUGHLY)
         except DidNotConverge:
-            solved = walk(problem)
-        suspected, gains = encoder_offset.suspected_encoders(problem, solved)
-    if not suspected.any():
-        return encoder_offset.with_hypotheses(plain, gains)
-    chosen = encoder_offset.choose(problem, solved, suspected, partial(cost, warm=solved))
-    if chosen.problem is problem:
-        return encoder_offset.with_hypotheses(plain, gains, chosen)
-    names = {joint: others for joint, others in chosen.alternatives.items() if others}
-    return encoder_offset.with_hypotheses(replace(chosen.problem, alternatives=names), gains, chosen)
+            solved = walk(found)
+        found, suspected = encoder_offset.suspected_encoders(found, solved)
+    if suspected.any():
+        found = encoder_offset.choose(found, solved, suspected, partial(cost, warm=solved))
+    return found if found.alternatives else replace(plain, evidence=found.evidence)
 
 
 def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
