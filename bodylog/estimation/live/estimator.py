@@ -169,19 +169,18 @@ class _Filter:
         t = at.t
         if at.places or self.posture is not None or not t - before.oldest <= SILENCE:
             return None
-        belief = self.steady.moved(before.belief, t - before.t)
+        belief, uneven = self.steady.moved(before.belief, t - before.t), (before.uneven + 1) % EVEN[self.motion.order]
+        if not uneven:
+            even(belief)
         if max(belief.diagonal().tolist()[: self.steady.joints]) > VAGUE**2:
             return None
         if at.angles is None:
-            return State(t, belief, before.watch, before.borne, before.oldest, before.uneven + 1)
+            return State(t, belief, before.watch, before.borne, before.oldest, uneven)
         angles = at.angles.tolist()
         try:
             nats, d = self.steady.condition(belief, angles)
         except ArithmeticError:
             return None  # the full step reports the error
-        uneven = (before.uneven + 1) % EVEN[self.motion.order]
-        if not uneven:
-            even(belief)
         borne = [t if reading == reading else last for reading, last in zip(angles, before.borne, strict=True)]
         return State(t, belief, before.watch, borne, min(borne), uneven, nats, {"encoders": d})
 
