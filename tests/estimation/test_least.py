@@ -35,27 +35,30 @@ def errors(drawn):
     return np.sqrt(apart.mean()), (apart / np.einsum("nii->ni", found.cov)).mean()
 
 
-@pytest.mark.parametrize("power", least.POWERS)
-def test_smoother_process_constants_follow_from_the_spectrum(power):
-    u = np.exp(np.linspace(-10.0, 8.0, 100_001))
+@pytest.mark.parametrize("which", range(5))
+@pytest.mark.parametrize("order", [2, 3])
+def test_smoother_process_constants_follow_from_the_spectrum(order, which):
+    u, known = np.exp(np.linspace(-10.0, 8.0, 100_001)), least.spectra(order)
+    power = known.powers[which]
 
     def whole(y):
         return float(trapezoid(y * u, np.log(u)))
 
     def passed(q):
-        return 1.0 / (1.0 + u**4 / q)
+        return 1.0 / (1.0 + u ** (2 * order) / q)
 
     # (noise, motion) of the error, by how far the path moves
-    noise, spectrum, root = whole(passed(1.0) ** 2), u**-power, np.sqrt(least.STEP)
+    noise, spectrum, root = whole(passed(1.0) ** 2), u**-power, np.sqrt(known.step)
     moved = np.square(passed(root) - passed(1.0 / root))
-    strength = (least.MOST[power == least.POWERS][0] - 1.0) * whole(moved) / whole(moved * spectrum)
+    strength = (known.most[which] - 1.0) * whole(moved) / whole(moved * spectrum)
     motion = strength * whole((1.0 - passed(1.0)) ** 2 * spectrum)
-    left = least.LEFT[power == least.POWERS][0]
     sway = whole(moved + moved * strength * spectrum) / whole(passed(1.0))
-    assert whole(passed(1.0) ** 2) / whole(passed(1.0)) == pytest.approx(least.NOISE, rel=2e-3)
-    assert (noise + motion) / whole(passed(1.0)) == pytest.approx(least.NOISE + left * (sway - least.SWAY), rel=2e-3)
-    slope = noise / 4.0 - 2.0 * strength * whole(passed(1.0) * (1.0 - passed(1.0)) ** 2 * spectrum)
-    assert power > 6.0 or abs(slope) < 2e-3 * noise
+    assert known.noise == pytest.approx(1.0 - 0.5 / order, rel=2e-3)
+    assert (noise + motion) / whole(passed(1.0)) == pytest.approx(
+        known.noise + known.left[which] * (sway - known.sway), rel=2e-3
+    )
+    slope = noise / (2.0 * order) - 2.0 * strength * whole(passed(1.0) * (1.0 - passed(1.0)) ** 2 * spectrum)
+    assert power > 2.0 * order + 2.0 or abs(slope) < 2e-3 * noise
 
 
 @pytest.mark.parametrize(("moved", "gain"), [("sines", 0.95), ("white", 1.04)])

@@ -42,10 +42,10 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     """
     part = middle(replace(problem, precision=replace(problem.precision, fewer={})))
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
-    if not names:
+    if not names and not whole:
         return problem.precision, None
     m, solved = len(part.start), solve_knots(part, None, "posterior", NEARLY)
-    for half in ROUNDS:
+    for half in ROUNDS if names else ():
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
         nats, solved = costs(part, solved, np.exp(candidates), names)
@@ -68,8 +68,6 @@ def _less(problem: Problem) -> list[View]:
 def _moving(problem: Problem, part: Problem, solved: tuple[KnotProblem, Solution], whole: bool) -> NoiseModel:
     """The part's noise model for a smoother (`whole`) or a filter, with the share of its covariance to state."""
     encoders, floor = problem.evidence.encoders, _floor(part)
-    if whole and part.precision.order > 2:
-        return replace(part.precision, process=_led(part, np.maximum(part.precision.process, floor)))
     if whole:
         held = replace(part.precision, process=np.maximum(part.precision.process, floor))
         process, stated = least(replace(part, precision=held), solved)

@@ -1,15 +1,17 @@
 """Process variances of a smoother with the least squared error, rather than the greatest evidence.
 
-The evidence covers motion up to the smoother's cut-off frequency. Arms move more smoothly than white acceleration, so
-the evidence prefers a large q, which lets more noise pass than necessary. How far the path moves with q shows what
-motion adds to the error near the cut-off. Noise makes 3/4 of a steady variance V, and grows as q^¼. For angles with
-spectrum ω^−p, motion adds an error that falls as q^(−(p − 1)/4). The sum is least where the latter is 1/(p − 1) of the
-former. p is 4 for white acceleration, 6 for white jerk and 8 for minimum-jerk reaches (Flash & Hogan 1985); the rate
-at which moves fall with q shows it. Beyond 6 the error hardly falls, so q stays at its value for 6. The stated
+The evidence covers motion up to the smoother's cut-off frequency. Arms move more smoothly than white noise in
+derivative n, so the evidence prefers a large q, which lets more noise pass than necessary. How far the path moves with
+q shows what motion adds to the error near the cut-off. Noise makes 1 − 1/2n of a steady variance V, and grows as
+q^(1/2n). For angles with spectrum ω^−p, motion adds an error that falls as q^(−(p − 1)/2n). The sum is least where the
+latter is 1/(p − 1) of the former. p is 2n for white noise and 8 for minimum-jerk reaches (Flash & Hogan 1985); the rate
+at which moves fall with q shows it. Beyond 2n + 2 the error hardly falls, so q stays at its value there. The stated
 share of V is noise, plus motion as far as the path still moves.
 """
 
 from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,25 +25,44 @@ from ..inference.solution import Solution
 from .correlated_noise import WHOLE
 from .visibility import LONG
 
-STEP = 4.0
-FACTORS = STEP ** np.arange(-3.0, 3.0)
-"""Factors on the process variances of greatest evidence that are tried."""
-POWERS = np.arange(4.0, 9.0)
-"""Values of p; beyond them the rest comes from few slow swings rather than from the cut-off."""
-MOST = np.array([2.434, 2.674, 2.934, 2.934, 2.934])
-"""For each p, mean squared move of the path per STEP, over that of noise, at the least error.
-
-With H(q) = 1/(1 + u⁴/q) and motion a u^−p these are ∫ (H(2) − H(½))² (1 + a u^−p) du and ∫ (H(2) − H(½))² du.
-"""
-LEFT = np.array([2.388, 1.535, 1.062, 0.771, 0.579])
-"""For each p, error by motion over the path's move per STEP.
-
-That is ∫ (1 − H)² u^−p du over ∫ (H(2) − H(½))² u^−p du, whatever the motion's strength.
-"""
-NOISE, SWAY = 0.75, 0.073
-"""Shares of V: error by noise, ∫ H² du, and the path's mean squared move by noise per STEP."""
 TURNS = 2
 """Rounds in which stretches hand over their ends."""
+
+
+class Spectra(NamedTuple):
+    """What a smoother of one order does to motion of spectrum ω^−p, for each of the powers p (5,).
+
+    step: factor on q that moves the cut-off by √2 · most: mean squared move of the path per step, over that of noise,
+    at the least error · left: error by motion over the path's move · noise, sway: shares of V, error by noise and the
+    path's mean squared move by noise.
+    """
+
+    step: float
+    powers: Array
+    most: Array
+    left: Array
+    noise: float
+    sway: float
+
+
+@cache
+def spectra(order: int) -> Spectra:
+    """By quadrature, with the smoother's response 1/(1 + u²ⁿ/q), u the frequency over the cut-off."""
+    u, step, powers = np.exp(np.linspace(-10.0, 8.0, 4001)), 2.0**order, 2.0 * order + np.arange(5.0)
+
+    def passed(q: float) -> Array:
+        return np.asarray(1.0 / (1.0 + u ** (2 * order) / q))
+
+    def whole(y: Array) -> Array:
+        return np.asarray(np.trapezoid(y * u, np.log(u)))
+
+    moved, motion = np.square(passed(step**0.5) - passed(step**-0.5)), u ** -powers[:, None]
+    noise, missed = whole(passed(1.0) ** 2), whole((1.0 - passed(1.0)) ** 2 * motion)
+    most = 1.0 + noise / ((powers - 1.0) * missed) * whole(moved * motion) / whole(moved)
+    v = whole(passed(1.0))
+    flat = np.minimum(powers, powers[2])
+    most, left = np.interp(flat, powers, most), missed / whole(moved * motion)
+    return Spectra(step, powers, most, left, float(noise / v), float(whole(moved) / v))
 
 
 def least(part: Problem, solved: tuple[KnotProblem, Solution]) -> tuple[Array, float]:
@@ -49,15 +70,17 @@ def least(part: Problem, solved: tuple[KnotProblem, Solution]) -> tuple[Array, f
 
     `solved`: the solution of the filter.
     """
-    present = _without_gaps(part, solved[0].problem.timeline.t)
-    moved = np.square(np.diff(_paths(part, solved, FACTORS)[0][:, present], axis=0)).mean(axis=1)
-    # noise's share of it grows as q^¼
-    noise = moved[-1] * (FACTORS[:-1] / FACTORS[-2])[:, None] ** 0.25
+    known = spectra(part.precision.order)
+    present, factors = _without_gaps(part, solved[0].problem.timeline.t), known.step ** np.arange(-3.0, 3.0)
+    moved = np.square(np.diff(_paths(part, solved, factors)[0][:, present], axis=0)).mean(axis=1)
+    # noise's share of it grows as q^(1/2n)
+    noise = moved[-1] * (factors[:-1] / factors[-2])[:, None] ** (1.0 / known.powers[0])
     ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
-    power = _power(ratios)
-    over = np.log(ratios / np.interp(power, POWERS, MOST))
+    power = _power(ratios, known)
+    over = np.log(ratios / np.interp(power, known.powers, known.most))
     last = int(np.flatnonzero(over > 0.0).max(initial=-1))
-    factor = FACTORS[0] if last < 0 else FACTORS[last] * STEP ** (0.5 + over[last] / (over[last] - over[last + 1]))
+    beyond = 0.5 + over[last] / (over[last] - over[last + 1]) if last >= 0 else 0.0
+    factor = factors[max(last, 0)] * known.step**beyond
     return np.asarray(part.precision.process * factor), _stated(part, solved, float(factor), power)
 
 
@@ -74,31 +97,35 @@ def _without_gaps(part: Problem, t: Array) -> Array:
 
 def _stated(part: Problem, solved: tuple[KnotProblem, Solution], factor: float, power: float) -> float:
     """The error's share of V at a factor: noise, plus motion as far as the path still moves."""
-    paths, var = _paths(part, solved, factor * STEP ** np.array([-0.5, 0.5]))
+    known = spectra(part.precision.order)
+    paths, var = _paths(part, solved, factor * known.step ** np.array([-0.5, 0.5]))
     present = _without_gaps(part, solved[0].problem.timeline.t)
     moved = float((np.square(paths[1] - paths[0]) / np.sqrt(var[0] * var[1]))[present].mean())
-    return float(np.clip(NOISE + np.interp(power, POWERS, LEFT) * (moved - SWAY), NOISE, 1.0))
+    left = np.interp(power, known.powers, known.left)
+    return float(np.clip(known.noise + left * (moved - known.sway), known.noise, 1.0))
 
 
-def _power(ratios: Array) -> float:
-    """p, from the rate at which moves over those of noise, 1 + b q^(−p/4), fall; ratios (5,)."""
-    last = max(int(np.flatnonzero(ratios > MOST[0]).max(initial=0)), 1)
+def _power(ratios: Array, known: Spectra) -> float:
+    """p, from the rate at which moves over those of noise, 1 + b q^(−p/2n), fall; ratios (5,)."""
+    last = max(int(np.flatnonzero(ratios > known.most[0]).max(initial=0)), 1)
     before, after = ratios[last - 1 : last + 1] - 1.0
     if after <= 0.0 or before <= after:
-        return float(POWERS[-1])
-    return float(np.clip(4.0 * np.log(before / after) / np.log(STEP), POWERS[0], POWERS[-1]))
+        return float(known.powers[-1])
+    rate = np.log(before / after) / np.log(known.step)
+    return float(np.clip(known.powers[0] * rate, known.powers[0], known.powers[-1]))
 
 
 def _paths(part: Problem, solved: tuple[KnotProblem, Solution], factors: Array) -> tuple[Array, Array]:
     """Smoothed angles (G,E,M) of the knots for each factor, with the tangents of `solved`; and V there.
 
-    A steady smoother has a quarter of its filter's variance.
+    A steady smoother has 1/2n of its filter's variance.
     """
     (knots, first), g, m = solved, len(factors), len(part.start)
     few, fold = replace(part, timeline=knots.problem.timeline), knots.fold
     first.tangents.draw(few, fold, knots.readings)
     processes = part.precision.process[:, None] * factors
-    precisions = [replace(part.precision, process=process, stated=NOISE) for process in processes.T]
+    share = spectra(part.precision.order).noise
+    precisions = [replace(part.precision, process=process, stated=share) for process in processes.T]
     var = [first.tangents.weighed(replace(few, precision=p), fold, knots.readings, WHOLE) for p in precisions]
     tiled = tile(knots, np.stack(var, axis=-1), processes)
     dynamics = replace(few.dynamics, process=np.tile(processes, fold.count))
@@ -112,7 +139,7 @@ def _paths(part: Problem, solved: tuple[KnotProblem, Solution], factors: Array) 
     for _ in range(TURNS):
         after, start = adjoint.adjoints(tiled, trace, ends, dynamics.order)
         ends[:, :-g] = start[:, g:]
-    x, var = adjoint.means(trace, after)[:, :m], 0.25 * np.einsum("liic->lic", trace.p[:, :m, :m])
+    x, var = adjoint.means(trace, after)[:, :m], 0.5 / dynamics.order * np.einsum("liic->lic", trace.p[:, :m, :m])
     tiles = np.stack([x, var]).reshape(2, fold.length, m, fold.count, g)
     paths, variances = (np.stack([fold.unfold(part[..., k]) for k in range(g)]) for part in tiles)
     return paths, variances
