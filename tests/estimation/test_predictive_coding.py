@@ -69,7 +69,7 @@ def test_explicit_steps_are_stable_just_below_the_named_step_and_not_above(world
     features, x = still(drawn)
     settings = replace(DESCENT, preset="paper", start=tuple(x + 0.01))
     plan, *_ = predictive_coding.plan_for(features, drawn.body, replace(settings, rate=100.0))
-    senses = tuple(replace(s, s=np.tile(s.predict(x)[0], (len(s.s), 1))) for s in plan.senses)
+    senses = tuple(replace(s, s=np.tile(s.predict(x[None])[0], (len(s.s), 1))) for s in plan.senses)
     stable = predictive_coding.stable_step(replace(plan, senses=senses))
     for factor, holds in ((0.95, True), (1.05, False)):
         found = predictive_coding.explicitly(replace(plan, senses=senses, dt=factor * stable))[0]

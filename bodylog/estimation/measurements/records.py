@@ -41,7 +41,7 @@ class Encoders:
 class Sighting:
     """Measurements of one sense: t (N,) s · values, var (N,D) unit, unit² · source_ns · the model that predicts them.
 
-    D is any number of rows, the same for all of one sense. cov (N,D,D) unit²: covariance of the rows, with `var` its
+    D is the number of a sense's rows (`Sense`). cov (N,D,D) unit²: covariance of the rows, with `var` its
     diagonal; None where rows are independent. displaced (N,D): displacement of a moved camera, already subtracted from
     the values. common: share of the model's variance that comes from the exploration's encoder errors, common to all
     tracks.

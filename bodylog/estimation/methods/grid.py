@@ -38,11 +38,11 @@ class Sense:
     printed: bool = False
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """g (D,), J (D,M) and the model's own variance (D,) at x (M,), in the sense's unit."""
+        """g (N,D), J (N,D,M) and the model's own variance (N,D) at x (N,M), in the sense's unit."""
         if self.model is None:
-            return x, np.eye(len(x)), np.zeros(len(x))
-        mean, jac, var = self.model.predict(x[None])
-        return mean[0] / self.unit, jac[0] / self.unit, var[0] * (not self.printed) / self.unit**2
+            return x, np.tile(np.eye(x.shape[1]), (len(x), 1, 1)), np.zeros(x.shape)
+        mean, jac, var = self.model.predict(x)
+        return mean / self.unit, jac / self.unit, var * (not self.printed) / self.unit**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +74,9 @@ class Plan:
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
         """g (R,), J (R,M) and the models' own variances (R,) of all senses at x (M,)."""
-        parts = [(np.empty(0), np.empty((0, len(x))), np.empty(0)), *(sense.predict(x) for sense in self.senses)]
-        g, jac, own = (np.concatenate(part) for part in zip(*parts, strict=True))
+        none = np.empty((1, 0)), np.empty((1, 0, len(x))), np.empty((1, 0))
+        parts = zip(none, *(sense.predict(x[None]) for sense in self.senses), strict=True)
+        g, jac, own = (np.concatenate(part, axis=1)[0] for part in parts)
         return g, jac, own
 
 
@@ -165,10 +166,15 @@ def _wander(encoders: Sequence[Sense], noise: Array) -> Array:
     if not encoders:
         return noise
     gains, s = GAINS[:, None], encoders[0].s
-    x, squares = np.where(np.isfinite(s[0]), s[0], 0.0) + 0.0 * gains, np.zeros((len(gains), s.shape[1]))
-    for row in s[1:]:
+    best = gains[innovations(s[1:], np.where(np.isfinite(s[0]), s[0], 0.0), gains).argmin(axis=0), 0]
+    return np.asarray(noise * best / (1.0 - best))
+
+
+def innovations(s: Array, x: Array, gain: Array) -> Array:
+    """Sum of squared innovations (…,M) of a static belief, x (M,) at first, that follows readings s (N,M) by a gain."""
+    squares = np.zeros(np.broadcast_shapes(x.shape, gain.shape))
+    for row in s:
         nu = np.where(np.isfinite(row), row - x, 0.0)
         squares += nu * nu
-        x = x + gains * nu
-    best = gains[squares.argmin(axis=0), 0]
-    return np.asarray(noise * best / (1.0 - best))
+        x = x + gain * nu
+    return squares

@@ -16,7 +16,7 @@ from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline
 from . import results
 from .contract import VARIANCES, Method
-from .grid import Plan, at_instants, calmest, plan_for
+from .grid import Plan, at_instants, calmest, innovations, plan_for
 from .results import Beliefs
 
 POSTURES, MARGIN = 16, 0.8
@@ -162,10 +162,8 @@ def _beliefs(
     errors, moved = np.full((len(line.t), x.shape[1]), np.nan), _moved(plan, x, cov)
     if evidence.encoders is not None and (sense := plan.encoders) is not None:
         then = before[line.encoders]
-        read, slope = x[then], np.ones_like(x[then])
-        if sense.model is not None:
-            read, jac, _ = sense.model.predict(read)
-            slope = np.einsum("nmm->nm", jac)
+        read, jac, _ = sense.predict(x[then])
+        slope = np.einsum("nmm->nm", jac)
         std = np.sqrt(sense.sigma[then] + slope**2 * np.einsum("nii->ni", moved[then]))
         errors[line.encoders] = (evidence.encoders.values - read) / std
     settings = {"step": "explicit" if explicit else "implicit", "dt": plan.dt, "sigma_x": plan.sigma_x.tolist()}
@@ -180,10 +178,7 @@ def _moved(plan: Plan, x: Array, cov: Array) -> Array:
     """
     var, sense = np.einsum("nii->ni", cov), plan.encoders
     if sense is not None and sense.model is None:
-        present, held, square = np.isfinite(sense.s), plan.start, np.zeros(x.shape[1])
-        for readings, noise, here in zip(sense.s, sense.sigma, present, strict=True):
-            off = np.where(here, readings - held, 0.0)
-            square += off * off - here * noise
-            held = held + plan.sigma_x / (plan.sigma_x + noise) * off
-        var = np.maximum(var, square / np.maximum(present.sum(axis=0), 1))
+        count, noise = np.isfinite(sense.s).sum(axis=0), sense.sigma[0]
+        square = innovations(sense.s, plan.start, plan.sigma_x / (plan.sigma_x + noise))
+        var = np.maximum(var, (square - count * noise) / np.maximum(count, 1))
     return np.asarray(var[:, :, None] * np.eye(x.shape[1]))
