@@ -21,12 +21,15 @@ OFFSET_STD = 0.01
 
 def prior(problem: "Problem") -> tuple[Array, Array]:
     """State z (K,) and covariance p (K,K) before any measurement."""
-    m, drift, dynamics = len(problem.start), problem.precision.drift, problem.dynamics
-    z = np.concatenate([problem.start, np.zeros(dynamics.size - m)])
-    var = np.repeat(np.square(START_STD[: dynamics.order]), m)
-    if drift is not None:
-        var = np.append(var, np.where(drift > 0, OFFSET_STD**2, 0.0))
-    return z, np.diag(var)
+    return prior_of(problem.start, problem.dynamics)
+
+
+def prior_of(start: Array, dynamics: Dynamics) -> tuple[Array, Array]:
+    """State z (K,) and covariance p (K,K) at the angles `start` (M,) rad, before any measurement."""
+    var = np.repeat(np.square(START_STD[: dynamics.order]), len(start))
+    if dynamics.drift is not None:
+        var = np.append(var, np.where(dynamics.drift > 0, OFFSET_STD**2, 0.0))
+    return np.concatenate([start, np.zeros(dynamics.size - len(start))]), np.diag(var)
 
 
 def priors(problem: "Problem", fold: Fold) -> tuple[Array, Array]:

@@ -11,12 +11,12 @@ from ...errors import LogError, UsageError
 from ...settings import Estimation
 from ...types import Array, Health
 from ..faults.encoder_offset import WALKS
+from ..inference import initial_path
 from ..inference.encoder_steps import EncoderSteps, even
 from ..inference.filter_records import Dynamics
-from ..inference.initial_path import OFFSET_STD
 from ..inference.instant import hear
 from ..inference.motion import Motion
-from ..inference.reacquisition import SILENCE, START_STD, VAGUE, AcquisitionState, forget
+from ..inference.reacquisition import SILENCE, VAGUE, AcquisitionState, forget
 from ..inference.scan import EVEN
 from ..methods.table import METHODS
 from ..noise import typed
@@ -141,10 +141,9 @@ class Estimator:
         }
         adrift, steady = adrift_prior(self._inputs.wanted, process, x, order), EncoderSteps(dynamics, precision.encoder)
         one = _Filter(Motion(dynamics), steady, posture, adrift, precision, like, models)
-        z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
-        std = np.repeat([*START_STD[:order], *([] if drift is None else [OFFSET_STD])], len(x))
+        z, p = initial_path.prior_of(x, dynamics)
         watch = AcquisitionState.initial(len(x))
-        first = State(-np.inf, np.column_stack([np.diag(std**2), z]), watch, watch.borne.tolist())
+        first = State(-np.inf, np.column_stack([p, z]), watch, watch.borne.tolist())
         return ReplayBuffer(first, self._lag, one.hear)
 
 
