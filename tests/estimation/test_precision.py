@@ -61,6 +61,18 @@ def test_process_variance_ignores_a_jump():
     np.testing.assert_allclose(jumped, plain, rtol=0.3)
 
 
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("seed", range(3))
+def test_process_variance_ignores_single_false_readings(order, seed):
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 20.0, 0.02)
+    sound = np.sin(np.outer(t, [0.7, 1.1, 1.6])) * 0.3 + rng.normal(0.0, 0.02, (len(t), 3))
+    false = sound.copy()
+    false[rng.choice(len(t), 8, replace=False)] += rng.normal(0.0, 0.5, (8, 3))
+    found = [encoder_noise.learn(Encoders(t, values, np.zeros(len(t), int)), np.full(3, 1e-4), np.ones(3), order)
+             for values in (sound, false)]  # fmt: skip
+    np.testing.assert_allclose(found[1].process, found[0].process, rtol=0.5)
+
+
 def test_joints_learned_side_by_side_are_as_learned_alone():
     rng = np.random.default_rng(0)
     t = np.cumsum(0.02 + rng.uniform(-0.004, 0.004, 1000))

@@ -42,8 +42,8 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -
     """Log evidence (R,M) per ratio process/noise (R,M), with the noise variance that maximises it given the ratio.
 
     Time steps dt (L,M,C) s · readings y (L,M,C) rad, NaN where absent · restarts `fresh` (L,M,C) bool. The first
-    WARM readings of all stretches but the first do not count. For order 3 also the largest innovation (R,M) that the
-    next one reaches too, in standard deviations.
+    WARM readings of all stretches but the first do not count. Also the largest innovation (R,M) that the next one
+    reaches too, on the same side, in standard deviations.
     """
     known, count = np.isfinite(y), np.arange(len(y))[:, None, None]
     fresh = np.asarray(fresh | (count == 0))
@@ -57,7 +57,7 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -
     n = np.maximum(counts.sum(axis=(0, 2)), 1.0)
     noise = np.maximum(squares / n, LEAST)
     score = -0.5 * (n * np.log(noise) + squares / noise + logs)
-    return np.where(np.isfinite(score), score, -np.inf), noise, np.sqrt(lag / noise)
+    return np.where(np.isfinite(score), score, -np.inf), noise, lag / np.sqrt(noise)
 
 
 def _sums(
@@ -65,10 +65,11 @@ def _sums(
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Sums (M,R) of squared innovations over their variances and of log variances; the largest that the next reaches.
 
+    A reading that is false pulls the filter, so that the next is off to the other side: only one side counts as a lag.
     `gains` as in `_gains`, by group of joints; `which` (M,): the group of each joint.
     """
     x, y = np.zeros((order, *y.shape[1:], ratios)), np.where(np.isfinite(y), y, 0.0)[..., None]
-    squares, nu, cost, lag, more = np.zeros((5, *x.shape[1:]))
+    squares, nu, lag, lead, more = np.zeros((5, *x.shape[1:]))
     logs, recent = np.zeros(()), np.zeros((2, *squares.shape))
     begins: Array = np.any(steps.fresh, axis=(1, 2))
     for i, (gain, weight, log) in enumerate(gains):
@@ -77,21 +78,20 @@ def _sums(
             x[:, steps.fresh[i]] = 0.0
             x[0, steps.fresh[i]] = y[i, steps.fresh[i]]
         np.subtract(y[i], x[0], out=nu)
-        np.multiply(nu, weight[which], out=cost)
-        np.multiply(nu, cost, out=cost)
-        squares += cost
+        off, before = recent[i % 2], recent[i % 2 - 1]
+        np.multiply(nu, weight[which], out=off)
+        squares += np.multiply(off, off, out=more)
         logs = np.asarray(logs + log)
-        if order > 2:
-            recent[i % 2] = cost
-            np.maximum(lag, np.minimum(*recent), out=lag)
+        np.maximum(lag, np.minimum(off, before, out=more), out=lag)
+        np.minimum(lead, np.maximum(off, before, out=more), out=lead)
         for state, share in zip(x, gain, strict=True):
             np.multiply(share[which], nu, out=more)
             state += more
-    return squares.sum(axis=1), logs.sum(axis=1)[which], lag.max(axis=1)
+    return squares.sum(axis=1), logs.sum(axis=1)[which], np.maximum(lag, -lead).max(axis=1)
 
 
 def _gains(steps: _Steps, ratios: Array, order: int) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield each step's gain (S,U,C,R), and its weight and log variance (U,C,R), 0 where the reading does not count.
+    """Yield each step's gain (S,U,C,R), one over its deviation, and its log variance (U,C,R), 0 where it does not count.
 
     ratios (U,R) of process to noise; covariances are in units of the noise.
     """
@@ -110,7 +110,7 @@ def _gains(steps: _Steps, ratios: Array, order: int) -> Iterator[tuple[Array, Ar
         gain = p[0] / s
         p[1:, 1:] -= gain[1:, None] * p[0, 1:]
         p[0] = p[:, 0] = gain
-        weight, log = 1.0 / s, np.log(s)
+        weight, log = 1.0 / np.sqrt(s), np.log(s)
         if not whole[i]:
             weight *= steps.counts[i, ..., None]
             log *= steps.counts[i, ..., None]

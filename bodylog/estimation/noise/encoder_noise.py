@@ -9,7 +9,6 @@ from ..measurements.long_arrays import median, median_step
 from ..measurements.records import Encoders
 from .encoder_evidence import WARM, evidence
 from .quantisation import dithered, shared_variance
-from .sudden_motion import followed
 
 TRIED = 45
 """Ratios tried, over all magnitudes; a parabola through the best of them is exact enough for the evidence."""
@@ -69,25 +68,14 @@ def learn(encoders: Encoders, encoder: Array, process: Array, order: int = 2) ->
         nats = float(won.sum())
         added, least = np.transpose(coarse)
         encoder[joints] = np.maximum(found - added, least)
-        noise = np.maximum(found, encoder[joints])
-        if order == 2:
-            density = np.array([_followed(*one) for one in zip(series, noise, density, strict=True)])
         process[joints] = density
     return Learned(order, encoder, process, nats)
-
-
-def _followed(series: tuple[Array, Array], noise: float, process: float) -> float:
-    """Density that the motion in times and readings (N,) requires, at least `process`."""
-    t, y = series
-    return followed(t, y, _alone(np.abs(np.diff(y, 2))), noise, process)
 
 
 def followable(encoders: Encoders, encoder: Array, process: Array, order: int) -> Array:
     """Densities (M,), at least `process`, with which a filter of an order follows all readings of the encoders."""
     known = [np.isfinite(column) for column in encoders.values.T]
     series = [(encoders.t[own], column[own]) for own, column in zip(known, encoders.values.T, strict=True)]
-    if order == 2:
-        return np.array([_followed(*one) for one in zip(series, encoder, process, strict=True)])
     fellows = np.array([_fellows(t) for t, _ in series])
     folded = _side_by_side([_averaged(t, y, k) for (t, y), k in zip(series, fellows, strict=True)])
     return np.asarray(encoder * _followed_by(folded, process / encoder, encoder / fellows, order))
