@@ -91,7 +91,7 @@ def _sums(
 
 
 def _gains(steps: _Steps, ratios: Array, order: int) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield each step's gain (S,U,C,R), one over its deviation, and its log variance (U,C,R), 0 where it does not count.
+    """Yield each step's gain (S,U,C,R), 1 over its deviation and its log variance (U,C,R), 0 where it does not count.
 
     ratios (U,R) of process to noise; covariances are in units of the noise.
     """
