@@ -69,3 +69,16 @@ def test_smoother_is_not_overconfident(world):
         found = estimate(drawn.features, drawn.body, Estimation(method="smoother"))
         inside.append({s.name: s.value for s in scores(found, drawn.truth, None)}["coverage_2sigma/joint"])
     assert np.mean(inside) > 94.0
+
+
+@pytest.mark.parametrize(("step", "every", "first"), [(1e-6, 9, 4), (1e-6, 9, 40), (1e-5, 1, 12), (0.02, 1000, 999)])
+def test_smoother_takes_a_joint_that_is_read_seldom_or_late(world, step, every, first):
+    drawn = world(3, duration=20.0, encoder_std=step)
+    joints = drawn.features.joints
+    values = joints.values.copy()
+    values[:, 1], values[np.arange(len(values)) % every != first % every, 0] = 0.4, np.nan
+    values[:first, 0] = np.nan
+    features = replace(drawn.features, joints=replace(joints, values=values))
+    for without in ((), ("effector",)):
+        found = estimate(features, drawn.body, Estimation(method="smoother", bias="off", without=without))
+        assert (np.einsum("nii->ni", found.cov) > 0.0).all()

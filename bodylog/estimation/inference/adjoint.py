@@ -118,10 +118,7 @@ def _undo_rows(readings: Readings, trace: Trace, i: int, rows: list[int], inform
     k, m = len(information), readings.encoders.shape[1]
     tracks = [row for row in rows if row >= m]
     for row in rows[: len(rows) - len(tracks)]:
-        b, curve = _row_information(information, gains[row], weights[row])
-        information[row :: order * m] -= b
-        information[:, row : k : order * m] -= b[:k, None]
-        information[row :: order * m, row : k : order * m] += curve
+        _undo_encoder(information, slice(row, k, order * m), gains[row], weights[row], readings.encoder_var[i, row])
     seen = np.flatnonzero(weights[m:].any(axis=0)) if tracks else np.empty(0, int)
     few = len(seen) < MANY * information.shape[2]
     some, jac = (part.take(seen, axis=-1) if few else part for part in (information, readings.jac[i]))
@@ -133,6 +130,24 @@ def _undo_rows(readings: Readings, trace: Trace, i: int, rows: list[int], inform
         some[:m, :m] += (h * curve)[:, None] * h[None]
     if few:
         information[..., seen] = some
+
+
+def _undo_encoder(information: Array, own: slice, gain: Array, weight: Array, var: Array) -> None:
+    """Carry W and Ψ (K,2K,C) back over one encoder: its `own` states are the angle and, where there is one, the offset.
+
+    W becomes (I − g h)ᵀ W (I − g h) + weight hᵀh. Of an exact reading 1 − h g = R weight is far below rounding of h g,
+    and W is as much larger, so this share is not taken from a difference.
+    """
+    left = np.maximum(1.0 - gain[own].sum(axis=0), var * weight)
+    others = gain.copy()
+    others[own] = 0.0
+    for part in (information, information[:, : len(information)].swapaxes(0, 1)):
+        some = part[own]
+        found = left * some - np.einsum("kc,klc->lc", others, part)
+        if len(some) > 1:
+            found += np.einsum("hc,shlc->slc", gain[own], some[:, None] - some[None])
+        part[own] = found
+    information[own, own] += weight
 
 
 def _row_information(information: Array, gain: Array, weight: Array) -> tuple[Array, Array]:

@@ -73,12 +73,19 @@ def learn(encoders: Encoders, encoder: Array, process: Array, order: int = 2) ->
 
 
 def followable(encoders: Encoders, encoder: Array, process: Array, order: int) -> Array:
-    """Densities (M,), at least `process`, with which a filter of an order follows all readings of the encoders."""
-    known = [np.isfinite(column) for column in encoders.values.T]
-    series = [(encoders.t[own], column[own]) for own, column in zip(known, encoders.values.T, strict=True)]
-    fellows = np.array([_fellows(t) for t, _ in series])
+    """Densities (M,), at least `process`, with which a filter of an order follows all readings of the encoders.
+
+    Joints with few readings keep theirs.
+    """
+    known, process = np.isfinite(encoders.values), process.copy()
+    joints = np.flatnonzero(known.sum(axis=0) > FEWEST)
+    if not len(joints):
+        return process
+    series = [(encoders.t[known[:, joint]], encoders.values[known[:, joint], joint]) for joint in joints]
+    fellows, noise = np.array([_fellows(t) for t, _ in series]), encoder[joints]
     folded = _side_by_side([_averaged(t, y, k) for (t, y), k in zip(series, fellows, strict=True)])
-    return np.asarray(encoder * _followed_by(folded, process / encoder, encoder / fellows, order))
+    process[joints] = noise * _followed_by(folded, process[joints] / noise, noise / fellows, order)
+    return process
 
 
 def floor(t: Array, encoder: Array, order: int) -> Array:

@@ -77,7 +77,7 @@ def least(part: Problem, solved: tuple[KnotProblem, Solution]) -> tuple[Array, f
     noise = moved[-1] * (factors[:-1] / factors[-2])[:, None] ** (1.0 / known.powers[0])
     ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
     power = _power(ratios, known)
-    over = np.log(ratios / np.interp(power, known.powers, known.most))
+    over = np.log(np.maximum(ratios, np.finfo(float).tiny) / np.interp(power, known.powers, known.most))
     last = int(np.flatnonzero(over > 0.0).max(initial=-1))
     beyond = 0.5 + over[last] / (over[last] - over[last + 1]) if last >= 0 else 0.0
     factor = factors[max(last, 0)] * known.step**beyond
