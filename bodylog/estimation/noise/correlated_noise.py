@@ -24,12 +24,12 @@ PAST, WHOLE = 4.0, 1.0 / 64.0
 """Share of q in the span within which frames count as one, for filter and smoother, under white acceleration."""
 SHARES = {2: {PAST: PAST, WHOLE: WHOLE}, 3: {PAST: 64.0, WHOLE: 1.0 / 729.0}}
 """The same for each order of the motion."""
-LASTING = {2: {PAST: -5.0 / 8.0, WHOLE: 1.0 / 2.0}, 3: {PAST: -3.0 / 8.0, WHOLE: 1.0 / 2.0}}
-"""Weight of a lasting error beyond that of an independent one, on average over the time between frames, by order.
+LASTING = {PAST: -3.0 / 8.0, WHOLE: 1.0 / 2.0}
+"""Weight of a lasting error beyond that of an independent one, on average over the time between frames.
 
-Extrapolated from two frames, (1 + x) e₁ − x e₀, a lasting error keeps its variance, and independent ones get 8/3 of
-theirs; interpolated, (1 − x) e₀ + x e₁, 2/3. A filter under white jerk remembers more frames: of −5/8 to −1/4, −3/8
-brings NEES nearest to 1 in eight drawn explorations with one and two cameras.
+Interpolated between two frames, (1 − x) e₀ + x e₁, a lasting error keeps its variance, and independent ones get 2/3 of
+theirs. Extrapolated from two, (1 + x) e₁ − x e₀, 8/3, which gives −5/8; a filter remembers more frames. Of −5/8 to
+−1/4, −3/8 brings NEES nearest to 1 in drawn explorations and reaches with one and two cameras.
 """
 
 
@@ -78,7 +78,7 @@ class ErrorCorrelation:
 
     def times(self, count: Array, like: Array) -> Array:
         """Factor on the variance of a frame that counts as one of `count`; `like`: correlation with the last."""
-        return np.asarray(2.0 * count - 1.0 + LASTING[self.order][self.share] * like / count)
+        return np.asarray(2.0 * count - 1.0 + LASTING[self.share] * like / count)
 
 
 def reach(model: ForwardModel) -> Array:
@@ -183,7 +183,7 @@ class PendingFrame:
 
     def _inflation(self, x: Array, jac: Array, model: Array) -> tuple[float, float, LastFrame]:
         """Factors on perception's and the model's variance, and the memory afterwards."""
-        last, like, share = self.memory, self.like, LASTING[self.like.order][self.like.share]
+        last, like, share = self.memory, self.like, LASTING[self.like.share]
         if last.place is None or last.point is None:
             return 1.0, 1.0, LastFrame(self.t, self.value, x, np.ones(2))
         step, away = (self.value - last.place).tolist(), ((x - last.point) / like.reach).tolist()

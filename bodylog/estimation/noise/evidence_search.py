@@ -27,10 +27,6 @@ ROUGHLY = 1e-2
 """Standard deviations: tolerance on starts for comparing a solution's evidence."""
 NEARLY = 0.25
 """Standard deviations: tolerance on starts for comparing candidates that start there."""
-TRUST = 0.5
-"""Prior standard deviation, in natural logarithms, of the factor on perception's pixel variances."""
-BELOW = 16.0
-"""Process variances are searched down to this fraction of the least allowed, because a resting arm has none."""
 ROUNDS = (1.2, 0.7, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
@@ -49,7 +45,6 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
         nats, solved = costs(part, solved, np.exp(candidates), names)
-        nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
     warm = replace(solved[1], knots=solved) if part.timeline is problem.timeline else None
     fewer = {view: _moving(problem, *_with_view(part, view), whole).process for view in _less(problem)}
@@ -115,11 +110,6 @@ def _own(problem: Problem, part: Problem, first: Solution) -> tuple[Array, Array
     return np.asarray(share * alone + (1.0 - share) * part.precision.process), white
 
 
-def _prior(candidates: Array, m: int) -> Array:
-    """Nats (G,) of pixel factors far from 1."""
-    return np.asarray(0.5 * np.square(candidates[:, m:] / TRUST).sum(axis=1))
-
-
 def _seen(sighting: Sighting) -> int:
     return int(np.isfinite(sighting.values).all(axis=1).sum())
 
@@ -129,7 +119,7 @@ def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
     # correlated frames predict each other well, which is no evidence of lower pixel noise
     found = {name: max(float(v), 1.0) for name, v in zip(names, values[m:], strict=True)}
     scale = {**precision.scale, **found}
-    return replace(precision, process=np.maximum(values[:m], _floor(part) / BELOW), scale=scale)
+    return replace(precision, process=values[:m], scale=scale)
 
 
 def _floor(part: Problem) -> Array:
