@@ -40,7 +40,7 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
     if not names and not whole:
         return problem.precision, None
-    m, solved = len(part.start), solve_knots(part, None, "posterior", NEARLY)
+    solved = solve_knots(part, None, "posterior", NEARLY)
     for half in ROUNDS if names else ():
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
