@@ -14,16 +14,10 @@ from .solve import Poses, Solved, solved
 
 WIDE = 0.05
 """rad: initial std of encoder noise."""
-TURNS = 3
-HOPE = -3.0
-"""Nats: an offset that wins less with the noise as it is, which may have grown because of it, is not tried."""
 WIDTH = 2.0
 """Prior std of the logarithm of an encoder's std, about the body's."""
-APART = 5.0
-"""Nats by which an encoder's offset must explain more than any other's to be attributed to it."""
 FEWEST = 3
 """Fewest poses with encoders and positions from which encoder noise is learned."""
-_LOWEST = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +49,7 @@ def learned(poses: Poses, known: Array, names: tuple[str, ...], noise: bool, bia
         return replace(found, free=np.zeros(m, bool))
     at: Array | None = None
     begin = [np.log(known), np.full(m, 2.0 * np.log(WIDE))]
-    for turn in range(TURNS):
+    for turn in range(3):
         wide = np.maximum(found.variance, WIDE**2) if turn == 0 else found.variance
         at = solved(poses, wide, found.offset, at).x
         rows = _rows(poses, solved(poses, wide, found.offset, at), whole)
@@ -75,34 +69,31 @@ def _rows(poses: Poses, at: Solved, whole: Array) -> _Rows:
 def _chosen(rows: _Rows, known: Array, names: tuple[str, ...], noise: bool, bias: str, begin: list[Array]) -> Encoding:
     """Noise and offsets of greatest evidence; with `auto`, one offset after the other while each wins NATS.
 
-    The search for the noise starts at each of `begin`. Offsets are tried that win evidence at the present noise.
+    The search for the noise starts at each of `begin`. Offsets are tried that win at the present noise. Where another
+    joint's offset explains nearly as much, none is chosen.
     """
     free, findings = np.full(len(known), bias == "on"), list[Finding]()
     value, log_var = _best(rows, known, free, noise, begin)
     while bias == "auto" and not free.all():
-        likely = [j for j in np.flatnonzero(~free) if _offset_gain(rows, log_var, free, int(j)) > HOPE]
-        also = [*begin, log_var]
-        trials = {j: _best(rows, known, free | (np.arange(len(known)) == j), noise, also) for j in likely}
-        order = sorted(trials, key=lambda j: -trials[j][0])
-        if not order or trials[order[0]][0] - value < NATS:
+        more = {j: free | (np.arange(len(known)) == j) for j in np.flatnonzero(~free).tolist()}
+        now = _evidence(log_var, rows, free)[0]
+        likely = {j: one for j, one in more.items() if _evidence(log_var, rows, one)[0] > now}
+        trials = {j: _best(rows, known, one, noise, [*begin, log_var]) for j, one in likely.items()}
+        if not trials:
             break
-        if len(order) > 1 and trials[order[0]][0] - trials[order[1]][0] < APART:
-            candidates = [names[j] for j in order if trials[order[0]][0] - trials[j][0] < APART]
-            names_of = ", ".join(candidates)
-            text = f"encoders: an offset of {names_of} explains these poses equally well; another track would decide"
-            findings.append(Finding("warning", text))
+        best = max(trials, key=lambda j: trials[j][0])
+        if trials[best][0] - value < NATS:
             break
-        free[order[0]] = True
-        value, log_var = trials[order[0]]
+        near = [names[j] for j in trials if trials[best][0] - trials[j][0] < NATS]
+        if len(near) > 1:
+            text = f"an offset of {', '.join(near)} explains these poses equally well; another track would decide"
+            findings.append(Finding("warning", f"encoders: {text}"))
+            break
+        free[best] = True
+        value, log_var = trials[best]
     variance = np.exp(log_var)
     offset, cov = _offsets(rows, variance, free)
     return Encoding(variance, offset, np.diag(cov), free, tuple(findings))
-
-
-def _offset_gain(rows: _Rows, log_var: Array, free: Array, joint: int) -> float:
-    """Nats of evidence that one more offset wins at the present noise."""
-    extended = free | (np.arange(len(free)) == joint)
-    return _evidence(log_var, rows, extended)[0] - _evidence(log_var, rows, free)[0]
 
 
 def _best(rows: _Rows, known: Array, free: Array, noise: bool, begin: list[Array]) -> tuple[float, Array]:
@@ -118,7 +109,7 @@ def _best(rows: _Rows, known: Array, free: Array, noise: bool, begin: list[Array
         away = (log_var - first) / (2.0 * WIDTH)
         return -value + 0.5 * float(away @ away), -slope + away / (2.0 * WIDTH)
 
-    bounds = [(2.0 * np.log(_LOWEST), 2.0 * np.log(10.0))] * len(first)
+    bounds = [(2.0 * np.log(1e-6), 2.0 * np.log(10.0))] * len(first)  # rad
     found = [minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in begin]
     best = min(found, key=lambda one: float(one.fun))
     return -float(best.fun), np.asarray(best.x)

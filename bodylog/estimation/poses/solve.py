@@ -15,11 +15,6 @@ from ..inference.conditioning import GATE
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import union
 
-STEPS = 60
-RESTING = 1e-7
-"""Standard deviations: a smaller step ends the search for a pose."""
-LEAST_SPAN = 0.1
-"""rad: smallest prior width of a joint's explored range."""
 GUESSES, CANDIDATES = 4, 400
 """Explored postures at which the search starts for poses without all encoders, and how many are compared."""
 
@@ -89,7 +84,8 @@ def gathered(encoders: Encoders | None, sightings: Sequence[Sighting], body: Bod
     known = [model.samples for model in body.senses.values() if hasattr(model, "samples")]
     explored = np.concatenate(known) if known else z
     low, high = (np.nan_to_num(end.reduce(explored, axis=0, initial=np.nan)) for end in (np.fmin, np.fmax))
-    span = np.maximum(high - low, LEAST_SPAN)
+    # a joint that was hardly explored may still be anywhere near
+    span = np.maximum(high - low, 0.1)
     return Poses(t, sources, z, y, var, tuple(sightings), rows, (low + high) / 2.0, span)
 
 
@@ -113,17 +109,14 @@ def solved(poses: Poses, encoder: Array, offset: Array, start: Array | None = No
 
 def subset(poses: Poses, chosen: Array) -> Poses:
     """Some of the poses."""
-    columns = {name: getattr(poses, name)[chosen] for name in ("t", "source_ns", "z", "y", "var")}
-    return replace(poses, **columns)
+    return replace(poses, **{name: getattr(poses, name)[chosen] for name in ("t", "source_ns", "z", "y", "var")})
 
 
 def merged(whole: Solved, some: Solved, rows: Array, chosen: Array) -> Solved:
     """The solution with `rows` replaced by those chosen (bool) of another."""
-    columns = {}
-    for name in Solved.__dataclass_fields__:
-        values = getattr(whole, name).copy()
+    columns = {name: values.copy() for name, values in vars(whole).items()}
+    for name, values in columns.items():
         values[rows] = getattr(some, name)[chosen]
-        columns[name] = values
     return Solved(**columns)
 
 
@@ -148,13 +141,13 @@ def descended(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
     """Gauss–Newton with damping for each pose, raised where a step does not lower the cost at fixed variances."""
     now, damp = _at(poses, encoder, offset, x), np.full(len(x), 1e-6)
     active = np.ones(len(x), bool)
-    for _ in range(STEPS):
-        step = _step(poses, encoder, offset, now, damp)
+    for _ in range(60):
+        step = _step(poses, encoder, now, damp)
         tried = _at(poses, encoder, offset, np.where(active[:, None], now.x + step, now.x))
-        before, after = (_misfit(poses, encoder, at, now.var) for at in (now, tried))
+        before, after = (_misfit(poses, at, now.var, encoder) for at in (now, tried))
         better = active & (after <= before + 1e-12)
         size = np.abs(step) / np.sqrt(np.einsum("pmm->pm", now.cov))
-        resting = size.max(axis=1) < RESTING
+        resting = size.max(axis=1) < 1e-7  # standard deviations
         damp = np.where(better, np.maximum(damp * 0.1, 1e-9), damp * 10.0)
         now = merged(now, tried, np.flatnonzero(better), better)
         active &= ~resting & (damp < 1e9)
@@ -163,12 +156,10 @@ def descended(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
     return now
 
 
-def _step(poses: Poses, encoder: Array, offset: Array, now: Solved, damp: Array) -> Array:
+def _step(poses: Poses, encoder: Array, now: Solved, damp: Array) -> Array:
     """The Gauss–Newton step (P,M), damped along the posterior's axes (Levenberg–Marquardt)."""
-    known = np.isfinite(poses.z)
-    pull = np.einsum("pkm,pk->pm", now.jac, now.weight * np.where(np.isfinite(poses.y), now.r, 0.0) / now.var)
-    pull += np.where(known, now.encoder_weight * (poses.z - offset - now.x) / encoder, 0.0)
-    pull += (poses.centre - now.x) / poses.span**2
+    pull = np.einsum("pkm,pk->pm", now.jac, now.weight * now.r / now.var)
+    pull += now.encoder_weight * now.e / encoder + (poses.centre - now.x) / poses.span**2
     information = np.linalg.inv(now.cov)
     information += damp[:, None, None] * np.eye(now.x.shape[1]) * np.einsum("pmm->pm", information)[:, None]
     return np.asarray(np.linalg.solve(information, pull[..., None])[..., 0])
@@ -179,31 +170,27 @@ def _at(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
     g, jac, model = poses.predict(x)
     var, seen, known = model + poses.var, np.isfinite(poses.y), np.isfinite(poses.z)
     r, e = np.where(seen, poses.y - g, 0.0), np.where(known, poses.z - offset - x, 0.0)
-    d, f = np.abs(r) / np.sqrt(var), np.abs(e) / np.sqrt(encoder)
-    weight, encoder_weight = weights(d) * seen, weights(f) * known
+    weight, encoder_weight = weights(r, var) * seen, weights(e, encoder) * known
     information = np.einsum("pki,pk,pkj->pij", jac, weight / var, jac)
     information += np.eye(x.shape[1]) * (encoder_weight / encoder + poses.span**-2.0)[:, None]
-    away = (x - poses.centre) / poses.span
-    cost = costs(d).sum(axis=1) + costs(f).sum(axis=1) + 0.5 * np.square(away).sum(axis=1)
-    cost += 0.5 * (np.log(2.0 * np.pi * var) * seen).sum(axis=1)
-    cost += 0.5 * (np.log(2.0 * np.pi * encoder) * known).sum(axis=1)
-    cost += 0.5 * np.linalg.slogdet(information)[1] + np.log(poses.span).sum()
-    return Solved(x, np.linalg.inv(information), r, jac, var, weight, e, encoder_weight, cost)
+    found = Solved(x, np.linalg.inv(information), r, jac, var, weight, e, encoder_weight, np.empty(len(x)))
+    logs = (np.log(2.0 * np.pi * var) * seen).sum(axis=1) + (np.log(2.0 * np.pi * encoder) * known).sum(axis=1)
+    logs += np.linalg.slogdet(information)[1] + 2.0 * np.log(poses.span).sum()
+    return replace(found, cost=_misfit(poses, found, var, encoder) + 0.5 * logs)
 
 
-def _misfit(poses: Poses, encoder: Array, at: Solved, var: Array) -> Array:
-    """Half the robust squares (P,) of all readings, with the positions' variances (P,K)."""
-    away = (at.x - poses.centre) / poses.span
-    read = costs(np.abs(at.r) / np.sqrt(var)).sum(axis=1) + costs(np.abs(at.e) / np.sqrt(encoder)).sum(axis=1)
-    return np.asarray(read + 0.5 * np.square(away).sum(axis=1))
+def _misfit(poses: Poses, at: Solved, var: Array, encoder: Array) -> Array:
+    """Half the robust squares (P,) of all readings and of the prior, with variances (P,K) px² and (M,) rad²."""
+    away = np.square((at.x - poses.centre) / poses.span)
+    return np.asarray(costs(at.r, var).sum(axis=1) + costs(at.e, encoder).sum(axis=1) + 0.5 * away.sum(axis=1))
 
 
-def weights(d: Array) -> Array:
-    """Weight of a row d standard deviations off: 1 within the gate, GATE²/d² beyond."""
-    return np.asarray(np.minimum(1.0, np.square(GATE / np.maximum(d, 1e-12))))
+def weights(r: Array, var: Array) -> Array:
+    """Weights of residuals with their variances: 1 within the gate of d standard deviations, GATE²/d² beyond."""
+    return np.asarray(1.0 / np.maximum(np.square(r) / (GATE**2 * var), 1.0))
 
 
-def costs(d: Array) -> Array:
-    """Half the robust square of d standard deviations, nats."""
-    beyond = np.maximum(d / GATE, 1.0)
-    return np.asarray(np.where(d <= GATE, 0.5 * d**2, GATE**2 * (0.5 + np.log(beyond))))
+def costs(r: Array, var: Array) -> Array:
+    """Half the robust squares of residuals with their variances, nats."""
+    over = np.square(r) / (GATE**2 * var)
+    return np.asarray(0.5 * GATE**2 * (np.minimum(over, 1.0) + np.log(np.maximum(over, 1.0))))
