@@ -35,6 +35,7 @@ class PoseModel:
     models: tuple[ForwardModel, ...]
     points: Array
     lens: Array
+    unit = "m, rad"
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -86,11 +87,12 @@ class TagPose:
     def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
         """Tags whose corners are all seen and predicted."""
         boards = features.boards.items()
-        return tuple(name for name, (tracks, _) in boards if len(tracks) == 4 and set(tracks) <= set(body.senses))
+        tags = (name for name, (tracks, _) in boards if len(tracks) == 4 and set(tracks) <= set(body.senses))
+        return tuple(f"{name}.pose" for name in tags)
 
     def read(self, name: str, features: Features, body: BodyModel, whole: bool = True) -> Measured:
         """Read poses (N,6) and covariances (N,6,6) of a tag; NaN where corners are unseen or the pose is ambiguous."""
-        tracks, points = features.boards[name]
+        tracks, points = features.boards[name.removesuffix(".pose")]
         seen = [features.tracks[track] for track in tracks]
         corners, var = np.stack([one.values for one in seen], axis=1), _variances(seen, tracks, body)
         values, cov = np.full((len(corners), 6), np.nan), np.tile(np.eye(6), (len(corners), 1, 1))
@@ -101,7 +103,7 @@ class TagPose:
         model = PoseModel(tuple(body.senses[track] for track in tracks), points, self._lens)
         first, use = seen[0], int(np.isfinite(values[:, 0]).sum())
         own = np.einsum("ndd->nd", cov).copy()
-        sighting = Sighting(f"{name}.pose", model, first.t, values, own, first.source_ns, cov=cov)
+        sighting = Sighting(name, model, first.t, values, own, first.source_ns, cov=cov)
         return Measured(sighting, Health(len(values), use, {"out of view, or of two poses": len(values) - use}))
 
 

@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 
 from bodylog.body_model import BodyModel, Noise, TouchConstants
+from bodylog.estimation import estimate
 from bodylog.estimation.inference.filter_records import Dynamics
 from bodylog.estimation.inference.instant import hear
 from bodylog.estimation.inference.motion import Motion
+from bodylog.estimation.measurements import gather
+from bodylog.estimation.measurements.track import Track
 from bodylog.estimation.noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame
 from bodylog.kinematics.camera import lens, project
 from bodylog.kinematics.rotations import exponential
+from bodylog.settings import Estimation
 from bodylog.types import Features, Series
 from tests.estimation.conftest import JOINTS, motion
-from tests.estimation.tag_pose import PoseModel, TagPose, solved, unambiguous
+from tests.estimation.tag_pose import ROWS, PoseModel, TagPose, solved, unambiguous
 
 LENS = lens(600.0, 640.0, 480.0)
 SIZE = 0.08
@@ -46,6 +50,7 @@ TRACKS = tuple(f"tag.{k}" for k in range(4))
 
 
 PROCESS = 0.002
+TYPED = Estimation(precision="model", bias="off", process=PROCESS)
 
 
 def white(t, rng):
@@ -74,21 +79,20 @@ def drawn(seed, duration=8.0, pixel=0.2, encoder=0.02, hz=50.0, camera=12.0):
     return features, body, x[: len(t)], x[len(t) :]
 
 
-def filtered(features, body, process, poses=None):
-    """The belief at each encoder instant, with a tag's pose or without: (N,3), (N,3,3)."""
-    joints, drift = features.joints, None
-    move = Motion(Dynamics(np.full(3, process), drift))
+def filtered(features, body, process, poses):
+    """The belief at each encoder instant, by a filter that goes instant by instant: (N,3), (N,3,3)."""
+    joints, move = features.joints, Motion(Dynamics(np.full(3, process)))
+    values, var, mix = poses.independent
     like = ErrorCorrelation(np.full(3, process), np.asarray(np.inf), 0.0, PAST)
     z, p = np.concatenate([joints.values[0], np.zeros(3)]), np.eye(6)
     rows = [(t, y, None) for t, y in zip(joints.t, joints.values, strict=True)]
-    if poses is not None:
-        rows += [(t, np.full(3, np.nan), row) for row, t in enumerate(poses.t) if np.isfinite(poses.values[row]).all()]
+    rows += [(t, np.full(3, np.nan), row) for row, t in enumerate(poses.t) if np.isfinite(poses.values[row]).all()]
     last, means, covs = joints.t[0], [], []
     for t, y, row in sorted(rows, key=lambda one: one[0]):
         z, p = move.move(z, p, t - last)
         last = t
         sights = () if row is None else (
-            PendingFrame(poses.model, t, poses.values[row], poses.var[row], like, LastFrame(), poses.cov[row]),
+            PendingFrame(poses.model, t, values[row], var[row], like, LastFrame(), mix[row]),
         )  # fmt: skip
         found = hear(move, z, p, y, np.array(body.noise.encoder), sights)
         z, p = found.z, found.p
@@ -125,18 +129,49 @@ def test_tag_pose_has_a_true_covariance(seed):
     assert np.abs(poses.cov[rows] / (scale[:, :, None] * scale[:, None]) - np.eye(6)).max() > 0.5
 
 
-def test_filter_with_tag_poses_has_true_error_bars():
+@pytest.fixture
+def pose_alone(monkeypatch):
+    """Of all senses only the encoders and the tag's pose."""
+    monkeypatch.setattr(gather, "SENSES", {"pose": TagPose(LENS)})
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_estimate_with_tag_poses_equals_the_filter_instant_by_instant(pose_alone, seed):
+    features, body, _, _ = drawn(seed, duration=4.0, pixel=0.1, camera=6.0)
+    found = estimate(features, body, TYPED)
+    assert found.used["tag.pose"].used > 20 and found.predicted["tag.pose"].names == ROWS
+    poses, _ = TagPose(LENS).read("tag.pose", features, body)
+    mean, cov = filtered(features, body, PROCESS, poses)
+    np.testing.assert_allclose(found.joints.values, mean, atol=1e-7, rtol=0)
+    np.testing.assert_allclose(found.cov, cov, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+def test_estimate_with_tag_poses_has_true_error_bars(pose_alone, method):
     found = {True: [], False: []}
     for seed in range(6):
         features, body, truth, _ = drawn(seed, duration=4.0, pixel=0.1, camera=6.0)
-        poses, _ = TagPose(LENS).read("tag", features, body)
         for seen in found:
-            mean, cov = filtered(features, body, PROCESS, poses if seen else None)
-            error = (mean - truth)[50:]
-            nees = np.mean(error**2 / np.einsum("nii->ni", cov[50:]))
+            senses = ("encoders", "vision") if seen else ("encoders",)
+            belief = estimate(features, body, replace(TYPED, method=method, senses=senses))
+            error = (belief.joints.values - truth)[50:]
+            nees = np.mean(error**2 / np.einsum("nii->ni", belief.cov[50:]))
             found[seen].append((np.sqrt(np.mean(error**2)), nees))
+            if seen and method == "laplace":
+                assert 0.7 < np.mean(belief.errors["tag.pose"].values ** 2) < 1.3
     (rmse, nees), (without, _) = np.mean(found[True], axis=0), np.mean(found[False], axis=0)
     assert rmse < 0.7 * without and 0.8 < nees < 1.25
+
+
+def test_noise_is_learned_beside_poses_and_corners(monkeypatch):
+    features, body, truth, _ = drawn(1, duration=6.0, pixel=0.1, camera=6.0)
+    errors = []
+    for senses in ({"track": Track()}, {"track": Track(), "pose": TagPose(LENS)}):
+        monkeypatch.setattr(gather, "SENSES", senses)
+        found = estimate(features, body, Estimation(method="smoother"))
+        errors.append(np.sqrt(np.mean((found.joints.values - truth) ** 2)))
+        assert ("tag.pose" in found.errors) == (len(senses) > 1) and not found.faults
+    assert errors[1] < 1.1 * errors[0]
 
 
 def test_tag_pose_is_absent_for_an_ambiguous_far_tag():
@@ -154,5 +189,5 @@ def test_tag_pose_is_absent_without_all_corners():
     values = features.tracks["tag.2"].values.copy()
     values[4] = np.nan
     hidden = replace(features, tracks={**features.tracks, "tag.2": replace(features.tracks["tag.2"], values=values)})
-    poses, health = TagPose(LENS).read("tag", hidden, body)
+    poses, health = TagPose(LENS).read("tag.pose", hidden, body)
     assert np.isnan(poses.values[4]).all() and health.used <= 11

@@ -65,7 +65,8 @@ def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
     seen: Array = seen_rows(problem.evidence.sightings[track].values)
     events = problem.timeline.sightings[track][seen]
     x, cov = _at(solved, trace.prior, events), _at(solved, trace.prior_cov, events)
-    y, jac, var = (_at(solved, part[:, track], events) for part in (readings.y, readings.jac, readings.var))
+    size = problem.evidence.sightings[track].values.shape[1]
+    y, jac, var = (_at(solved, part[:, track, :size], events) for part in (readings.y, readings.jac, readings.var))
     nu, s = y - (jac * x).sum(axis=1), np.einsum("dmf,emf->def", np.einsum("dmf,mkf->dkf", jac, cov), jac)
     own = np.einsum("ddf->df", s)
     own += var
@@ -92,7 +93,9 @@ def _places(solved: Solution, a: Array, events: Array) -> Array:
 
 
 def _inverse(s: Array) -> Array:
-    """Inverse of symmetric s (2,2,F)."""
+    """Inverse of symmetric s (D,D,F)."""
+    if len(s) != 2:
+        return np.moveaxis(np.linalg.inv(np.moveaxis(s, -1, 0)), 0, -1)
     (a, b), (_, c) = s
     return np.asarray(np.stack([c, -b, -b, a]).reshape(s.shape) / (a * c - b * b))
 

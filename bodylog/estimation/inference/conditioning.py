@@ -70,7 +70,7 @@ def update(
     else:
         encoder_d[:] = np.nan
     if len(seen):
-        _condition_tracks(tracks, readings.jac, i, seen, belief, back.at(slice(m, m + 2 * tracks.y.shape[1])), more)
+        _condition_tracks(tracks, readings.jac, i, seen, belief, back.at(slice(m, None)), more)
     if spoken:
         _condition_encoders(projected._replace(var=var), belief, back.at(slice(m)), dynamics.offset)
 
@@ -161,19 +161,21 @@ def _condition_tracks(
 
 
 def _condition_track_rows(measured: Rows, jac: Array, belief: Array, back: AdjointRecord) -> Array:
-    """Condition the belief in place on tracks' rows (T,2,C), jac (T,2,M,C), gated by the prior; `outlier_cost` (C,)."""
-    predicted = [_project(h, belief) for h in jac]
+    """Condition the belief in place on tracks' rows (T,D,C), jac (T,D,M,C), gated by the prior; `outlier_cost` (C,)."""
+    size, predicted = jac.shape[1], [_project(h, belief) for h in jac]
     own = [_gated(*projected, *rows) for projected, *rows in zip(predicted, *measured, strict=True)]
     for t, (h, y, present, (var, _)) in enumerate(zip(jac, measured.y, measured.present, own, strict=True)):
         # earlier tracks have moved the belief
         ph, s = predicted[0] if t == 0 else _project(h, belief)
-        rows = back.at(slice(2 * t, 2 * t + 2))
+        rows = back.at(slice(size * t, size * t + size))
         ph[:, -1] -= y
         ph[:, -1] *= present
-        np.divide(present[0], s[0, 0] + var[0], out=rows.weights[0])
-        share = rows.weights[0] * s[0, 1]
-        ph[1] -= share * ph[0]
-        np.divide(present[1], s[1, 1] - share * s[0, 1] + var[1], out=rows.weights[1])
+        for d in range(size):
+            np.divide(present[d], s[d, d] + var[d], out=rows.weights[d])
+            for e in range(d + 1, size):
+                share = rows.weights[d] * s[d, e]
+                ph[e] -= share * ph[d]
+                s[e, e:] -= share * s[d, e:]
         np.negative(ph[:, -1], out=rows.nus)
         gains = np.multiply(ph[:, :-1], rows.weights[:, None], out=rows.gains)
         belief -= np.einsum("dkc,dlc->klc", gains, ph)
@@ -181,28 +183,35 @@ def _condition_track_rows(measured: Rows, jac: Array, belief: Array, back: Adjoi
 
 
 def _project(h: Array, belief: Array) -> tuple[Array, Array]:
-    """H times the belief (2,K+1,C), and H P Hᵀ (2,2,C), for rows h (2,M,C)."""
+    """H times the belief (D,K+1,C), and H P Hᵀ (D,D,C), for rows h (D,M,C)."""
     m = h.shape[1]
     projected = np.einsum("dmc,mkc->dkc", h, belief[:m])
     return projected, np.einsum("emc,dmc->dec", h, projected[:, :m])
 
 
 def _gated(projected: Array, s: Array, y: Array, var: Array, present: Array) -> tuple[Array, Array]:
-    """Gated variances (2,C) and `outlier_cost` (C,) of a track; projected (2,K+1,C) and s (2,2,C) are by the prior."""
+    """Gated variances (D,C) and `outlier_cost` (C,) of a track; projected (D,K+1,C) and s (D,D,C) are by the prior."""
     total, nu = np.einsum("ddc->dc", s) + var, (y - projected[:, -1]) * present
-    d2, size = _square(nu, total, s[0, 1])
+    d2, size = _square(nu, total, s)
     inflated = raised(var, total, d2)
     if inflated is var:
         return var, np.zeros(d2.shape)
-    square, whole = _square(nu, total + (inflated - var), s[0, 1])
+    square, whole = _square(nu, total + (inflated - var), s)
     return inflated, outlier_cost(d2, square, np.log(whole / size))
 
 
-def _square(nu: Array, total: Array, cross: Array) -> tuple[Array, Array]:
-    """Square of innovations nu (2,C) over variances total (2,C) and covariance (C,); the determinant (C,)."""
-    share = cross / total[0]
-    rest, own = nu[1] - share * nu[0], total[1] - share * cross
-    return nu[0] * nu[0] / total[0] + rest * rest / own, total[0] * own
+def _square(nu: Array, total: Array, s: Array) -> tuple[Array, Array]:
+    """Square of innovations nu (D,C) over variances total (D,C) and covariances s (D,D,C); the determinant (C,)."""
+    off, var, cross = list(nu), list(total), [list(row) for row in s]
+    square, size = off[0] * off[0] / var[0], var[0]
+    for e in range(1, len(off)):
+        for d in range(e):
+            share = cross[d][e] / var[d]
+            off[e], var[e] = off[e] - share * off[d], var[e] - share * cross[d][e]
+            for f in range(e + 1, len(off)):
+                cross[e][f] = cross[e][f] - share * cross[d][f]
+        square, size = square + off[e] * off[e] / var[e], size * var[e]
+    return square, size
 
 
 def _gated_encoders(y: Array, var: Array, dynamics: "Dynamics", belief: Array) -> tuple[Array, Array]:

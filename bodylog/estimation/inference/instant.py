@@ -38,7 +38,7 @@ class StepResult:
 class Line(NamedTuple):
     """A track linearised to D rows: y (D,) = jac (D,M) x with independent variances var (D,).
 
-    nats: log determinant of the whitening of correlated rows, and the outlier's cost · memory of the track.
+    nats: the outlier's cost · memory of the track.
     """
 
     y: Array
@@ -156,24 +156,19 @@ def _statistical_linearisation(
     steps, tracks = np.sqrt(m * np.maximum(var, np.finfo(float).tiny))[:, None] * axes.T, []
     for sight in sights:
         *_, own, memory = sight.at(x)
-        there, back = np.split(sight.model.predict(np.concatenate([x + steps, x - steps]))[0], 2)
+        there, back = np.split(sight.predict(np.concatenate([x + steps, x - steps]))[0], 2)
         middle, slope = 0.5 * (there + back), np.linalg.solve(steps, 0.5 * (there - back)).T
         missed = middle - middle.mean(axis=0)
-        spread, turn = np.linalg.eigh(missed.T @ missed / m + (np.diag(own) if own.ndim == 1 else own))
+        spread, turn = np.linalg.eigh(missed.T @ missed / m + np.diag(own))
         y = turn.T @ (sight.value - middle.mean(axis=0) + slope @ x)
         tracks.append(Line(y, turn.T @ slope, spread, memory))
     return Lines(x, tuple(tracks)), errors
 
 
 def _line(sight: PendingFrame, x: Array) -> Line:
-    """The track's tangent at x; correlated rows are whitened."""
+    """The track's tangent at x."""
     mean, jac, _, var, memory = sight.at(x)
-    y = sight.value - mean + jac @ x
-    if var.ndim == 1:
-        return Line(y, jac, var, memory)
-    root = np.linalg.cholesky(var)
-    rows = np.linalg.solve(root, np.column_stack([y, jac]))
-    return Line(rows[:, 0], rows[:, 1:], np.ones(len(y)), memory, float(np.log(np.diagonal(root)).sum()))
+    return Line(sight.value - mean + jac @ x, jac, var, memory)
 
 
 def _innovation(sight: PendingFrame, x: Array, cov: Array) -> tuple[Array, Array]:

@@ -91,7 +91,8 @@ def folded_readings(
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     """The parts of `Readings`: encoder rows (E,M) with variances, and room for the frames."""
     line, m = problem.timeline, len(problem.start)
-    shape = (fold.length, len(problem.evidence.sightings), 2)
+    sizes = [sighting.values.shape[1] for sighting in problem.evidence.sightings]
+    shape = (fold.length, len(sizes), max(sizes, default=2))
     y, var = np.full((*shape, fold.count), np.nan), np.ones((*shape, fold.count))
     jac = np.zeros((*shape, m, fold.count))
     dt = fold.fold(np.diff(line.t, prepend=line.t[0]), 0.0)

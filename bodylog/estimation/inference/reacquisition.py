@@ -146,6 +146,6 @@ def _agree(z: Array, p: Array, m: int, age: float, sight: PendingFrame, order: i
     states = order * m
     back = np.concatenate([np.eye(m), -age * np.eye(m), 0.5 * age**2 * np.eye(m)], axis=1)[:, :states]
     x, cov = back @ z[:states], back @ p[:states, :states] @ back.T
-    mean, jac, model = (part[0] for part in sight.model.predict(x[None]))
+    mean, jac, model = sight.predicted(x)
     nu, s = sight.value - mean, jac @ cov @ jac.T + np.diag(model + sight.var)
     return float(nu @ np.linalg.solve(s, nu)) <= APART**2

@@ -30,10 +30,10 @@ class Tangents:
         seen = [np.all(np.isfinite(sighting.values), axis=1) for sighting in sightings]
         self._seen = tuple(_rows(some) for some in seen)
         self._weighed: NoiseModel | None = None
-        self._y = tuple(np.full((len(x), 2), np.nan) for x in points)
-        self._jac = tuple(np.zeros((len(x), 2, x.shape[1])) for x in points)
-        self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
-        self._var = tuple(np.ones((len(x), 2)) for x in points)
+        self._y: tuple[Array, ...] = tuple(np.full(one.values.shape, np.nan) for one in sightings)
+        self._jac = tuple(np.zeros((*y.shape, x.shape[1])) for x, y in zip(points, self._y, strict=True))
+        self._model_var = tuple(np.zeros(y.shape) for y in self._y)
+        self._var = tuple(np.ones(y.shape) for y in self._y)
         # the misfit of the kernel is each model's own
         common = [one.common / getattr(one.model, "misfit", 1.0) for one in sightings]
         counted = [int(some.sum()) for some in seen]
@@ -48,18 +48,18 @@ class Tangents:
         """
         touched = np.zeros(fold.count, bool)
         for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
-            stale = self._stale[index]
+            stale, size = self._stale[index], sighting.values.shape[1]
             if stale.any():
                 self._predict(index, sighting, stale)
-                fold.put(readings.y[:, index], events[stale], self._y[index][stale])
-                fold.put(readings.jac[:, index], events[stale], self._jac[index][stale])
+                fold.put(readings.y[:, index, :size], events[stale], self._y[index][stale])
+                fold.put(readings.jac[:, index, :size], events[stale], self._jac[index][stale])
                 touched |= fold.sees(events[stale])
             elif self._weighed is problem.precision:
                 continue
             var = self._variances(index, sighting, problem.precision, self.share)
-            other = np.logical_or(*(np.abs(var / self._var[index] - 1.0) > SAME).T)
+            other = np.logical_or.reduce((np.abs(var / self._var[index] - 1.0) > SAME).T)
             self._var[index][other] = var[other]
-            fold.put(readings.var[:, index], events[other], var[other])
+            fold.put(readings.var[:, index, :size], events[other], var[other])
             touched |= fold.sees(events[other])
         self._weighed = problem.precision
         return touched
@@ -68,7 +68,8 @@ class Tangents:
         """Variances (L,T,D,C) of readings, with frames as in the problem's noise model and a share."""
         var = readings.var.copy()
         for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
-            fold.put(var[:, index], events, self._variances(index, sighting, problem.precision, share))
+            own = self._variances(index, sighting, problem.precision, share)
+            fold.put(var[:, index, : own.shape[1]], events, own)
         return var
 
     def model_var(self, index: int) -> Array:
@@ -77,13 +78,13 @@ class Tangents:
 
     def _predict(self, index: int, sighting: Sighting, stale: Array) -> None:
         x = self.points[index][stale]
-        mean, jac, self._model_var[index][stale] = sighting.model.predict(x)
-        self._y[index][stale] = sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
+        mean, jac, self._model_var[index][stale] = sighting.independent.of(stale, sighting.model.predict(x))
+        self._y[index][stale] = sighting.independent.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
         self._jac[index][stale] = jac
 
     def _variances(self, index: int, sighting: Sighting, precision: NoiseModel, share: float) -> Array:
         """Variances (F,D), inflated such that correlated frames together do not count more than they inform."""
-        var, seen = precision.scale.get(sighting.name, 1.0) * sighting.var, self._seen[index]
+        var, seen = precision.scale.get(sighting.name, 1.0) * sighting.independent.var, self._seen[index]
         # a filtered belief errs by far more than models do
         often, stated = (self._repeated[index], precision.stated) if share == WHOLE else (1.0, 1.0)
         near = precision.near.get(sighting.name, 0.0)
@@ -97,9 +98,10 @@ class Tangents:
     def write(self, problem: "Problem", fold: Fold, readings: Readings) -> None:
         """Write all tangents into other readings of the same log."""
         for index, events in enumerate(problem.timeline.sightings):
-            fold.put(readings.y[:, index], events, self._y[index])
-            fold.put(readings.jac[:, index], events, self._jac[index])
-            fold.put(readings.var[:, index], events, self._var[index])
+            size = self._y[index].shape[1]
+            fold.put(readings.y[:, index, :size], events, self._y[index])
+            fold.put(readings.jac[:, index, :size], events, self._jac[index])
+            fold.put(readings.var[:, index, :size], events, self._var[index])
 
     def again(self) -> "Tangents":
         """An independent copy."""

@@ -97,7 +97,7 @@ def _write(adrift: tuple[Adrift, ...], fold: Fold, readings: Readings) -> None:
         for track, line in zip(one.tracks, lines.tracks, strict=True):
             parts = ((readings.y, line.y), (readings.jac, line.jac), (readings.var, line.var))
             for folded, row in parts:
-                fold.put(folded[:, track], at, row[None])
+                fold.put(folded[:, track, : len(row)], at, row[None])
 
 
 def _only(events: int) -> Fold:
@@ -178,7 +178,9 @@ def _sights(problem: Problem, share: float, before: int) -> dict[int, list[tuple
         scale, near = precision.scale.get(sighting.name, 1.0), precision.near.get(sighting.name, 0.0)
         like = ErrorCorrelation(precision.process, reach(sighting.model), near, share, order=precision.order)
         for row in np.flatnonzero(np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)):
-            value, var, k = sighting.values[row], scale * sighting.var[row], int(events[row])
-            sight = PendingFrame(sighting.model, float(sighting.t[row]), value, var, like, LastFrame())
+            (values, var, mix), k = sighting.independent, int(events[row])
+            own = None if mix is None else mix[row]
+            t, last = float(sighting.t[row]), LastFrame()
+            sight = PendingFrame(sighting.model, t, values[row], scale * var[row], like, last, own)
             found.setdefault(k, []).append((track, sight))
     return found

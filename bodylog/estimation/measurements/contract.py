@@ -15,10 +15,7 @@ class Measured(NamedTuple):
 
 
 class Sense(Protocol):
-    """One kind of sense with D rows; `Sighting.model` predicts g (D), J (D,M), variance (D).
-
-    The filter that goes instant by instant takes any D, sweeps over a whole log take 2.
-    """
+    """One kind of sense, with any number of rows D; `Sighting.model` predicts g (D), J (D,M), variance (D)."""
 
     @property
     def group(self) -> str:

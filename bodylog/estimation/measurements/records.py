@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,6 +57,33 @@ class Sighting:
     common: float = 0.0
     cov: Array | None = None
     displaced: Array | None = None
+
+    @cached_property
+    def independent(self) -> "Rows":
+        """The values as independent rows: cov = L diag(var) Lᵀ, and mix = L⁻¹ has the determinant 1."""
+        if self.cov is None:
+            return Rows(self.values, self.var)
+        root = np.linalg.cholesky(self.cov)
+        scale = np.einsum("ndd->nd", root)
+        mix = np.linalg.inv(root / scale[:, None])
+        return Rows((mix @ self.values[..., None])[..., 0], scale * scale, mix)
+
+
+class Rows(NamedTuple):
+    """Independent rows: values and var (N,D) · mix (N,D,D), which makes them from those of a sense; None for 1."""
+
+    values: Array
+    var: Array
+    mix: Array | None = None
+
+    def of(self, some: Array, predicted: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        """Mean (n,D), Jacobian (n,D,M) and model variance (n,D) of some rows."""
+        return predicted if self.mix is None else mixed(self.mix[some], *predicted)
+
+
+def mixed(mix: Array, mean: Array, jac: Array, var: Array) -> tuple[Array, Array, Array]:
+    """Mean (…,D), Jacobian (…,D,M) and model variance (…,D) of the rows made by mix (…,D,D)."""
+    return (mix @ mean[..., None])[..., 0], mix @ jac, (mix * mix @ var[..., None])[..., 0]
 
 
 @dataclass(frozen=True, eq=False)

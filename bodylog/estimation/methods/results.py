@@ -58,15 +58,18 @@ def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, 
     """Standardised errors where seen; the place predicted before the frame; its covariance (F,D,D) with noise."""
     mean, jac, var = sighting.model.predict(beliefs.before[events])
     cov = _projected(jac, beliefs.before_cov[events])
-    noise = var + beliefs.scale.get(sighting.name, 1.0) * sighting.var
-    np.einsum("fdd->fd", cov)[:] += noise
+    scale, diagonal = beliefs.scale.get(sighting.name, 1.0), np.einsum("fdd->fd", cov)
+    if sighting.cov is not None:
+        cov += scale * sighting.cov
+    diagonal += var if sighting.cov is not None else var + scale * sighting.var
     std = np.sqrt(np.einsum("fdd->fd", cov))
     names = sighting.model.outputs
     seen = seen_rows(sighting.values)
     error = ((sighting.values - mean) / std)[seen]
     mean = mean if sighting.displaced is None else mean + sighting.displaced
     errors = Series(sighting.t[seen], error, names, "std", sighting.source_ns[seen])
-    return errors, Series(sighting.t, mean, names, "px", sighting.source_ns, std), cov
+    unit = getattr(sighting.model, "unit", "px")
+    return errors, Series(sighting.t, mean, names, unit, sighting.source_ns, std), cov
 
 
 def _projected(jac: Array, cov: Array) -> Array:

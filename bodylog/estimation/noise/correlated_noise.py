@@ -17,6 +17,7 @@ import numpy as np
 
 from ...body_model import ForwardModel
 from ...types import Array
+from ..measurements.records import mixed
 
 NEAR = 0.5
 """px: correlation length of perception's error, which has the period of the pixels."""
@@ -150,7 +151,7 @@ class LastFrame:
 class PendingFrame:
     """One frame of a track at t (s): model, value (D,), its variance (D,), error correlation, last frame.
 
-    cov (D,D): covariance of correlated rows, with `var` its diagonal; None for independent rows.
+    mix (D,D): makes these independent rows from the model's, as in `Rows`; None for 1.
     """
 
     model: ForwardModel
@@ -159,27 +160,26 @@ class PendingFrame:
     var: Array
     like: ErrorCorrelation
     memory: LastFrame
-    cov: Array | None = None
+    mix: Array | None = None
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """Mean (N,D), Jacobian (N,D,M) and model variance (N,D) at angles x (N,M)."""
+        predicted = self.model.predict(x)
+        return predicted if self.mix is None else mixed(self.mix, *predicted)
 
     def predicted(self, x: Array) -> tuple[Array, Array, Array]:
         """Mean (D,), Jacobian (D,M) and model variance (D,) at angles x (M,)."""
         one = getattr(self.model, "predict_one", None)
-        if one is not None:
+        if one is not None and self.mix is None:
             return one(x)  # type: ignore[no-any-return]
-        mean, jac, model = self.model.predict(x[None])
+        mean, jac, model = self.predict(x[None])
         return mean[0], jac[0], model[0]
 
     def at(self, x: Array) -> tuple[Array, Array, Array, Array, LastFrame]:
-        """Mean (D,), Jacobian (D,M), model variance (D,), total variance as in `variances`, memory, at angles x (M,).
-
-        The total is a covariance (D,D) for correlated rows.
-        """
+        """Mean (D,), Jacobian (D,M), model variance (D,), total one as in `variances`, memory, at angles x (M,)."""
         mean, jac, model = self.predicted(x)
         spots, postures, memory = self._inflation(x, jac, model)
-        var = self.var * spots + model * postures
-        if self.cov is not None:
-            var = self.cov * spots + np.diag(model * postures)
-        return mean, jac, model, var, memory
+        return mean, jac, model, self.var * spots + model * postures, memory
 
     def _inflation(self, x: Array, jac: Array, model: Array) -> tuple[float, float, LastFrame]:
         """Factors on perception's and the model's variance, and the memory afterwards."""

@@ -154,7 +154,7 @@ def costs(
     for index, (sighting, events) in enumerate(zip(part.evidence.sightings, few.timeline.sightings, strict=True)):
         if sighting.name in names:
             pixels = np.zeros_like(readings.var[:, index])
-            fold.put(pixels, events, sighting.var)
+            fold.put(pixels[:, : sighting.var.shape[1]], events, sighting.independent.var)
             more = candidates[:, m + names.index(sighting.name)] - part.precision.scale[sighting.name]
             # a lasting error counts less than its variance in a filter's extrapolation
             var[:, index] += np.minimum(pixels, readings.var[:, index])[..., None] * more
@@ -189,5 +189,5 @@ def middle(problem: Problem) -> Problem:
 def _cut_sighting(sighting: Sighting, rows: Array) -> Sighting:
     return replace(
         sighting, t=sighting.t[rows], values=sighting.values[rows], var=sighting.var[rows],
-        source_ns=sighting.source_ns[rows],
+        source_ns=sighting.source_ns[rows], cov=None if sighting.cov is None else sighting.cov[rows],
     )  # fmt: skip

@@ -78,7 +78,7 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseM
         return NoiseModel(np.full(len(encoder), PAPER[1]), process, None, _fixed(evidence))
     if settings.precision != "auto":
         return NoiseModel(encoder, process, None, scale)
-    near = {name: NEAR for name in scale if name != "touch"}
+    near = {s.name: NEAR for s in evidence.sightings if s.name != "touch" and s.cov is None}
     if evidence.encoders is None:
         return NoiseModel(encoder, process, None, scale, near)
     found = encoder_noise.learn(evidence.encoders, encoder, process)
