@@ -1,29 +1,21 @@
-"""Whether repeated sweeps over a log converge."""
+"""When repeated sweeps over a log have converged, and when they do not."""
 
 import numpy as np
 
-PATIENCE = 8
-"""Sweeps without a smaller move after which the solution counts as not converging."""
-STUCK = 1e-3
-"""Standard deviations: smaller moves are left to die out."""
+SWEEPS = 25
+"""Most sweeps: both methods converge within 13 on 15 simulated and recorded logs."""
+SETTLED = 1e-8
+"""Standard deviations: a stretch's start that moves less has converged."""
+RESTING = 0.1
+"""rad per standard deviation of that: a frame whose linearisation point moves less keeps its tangent."""
 
 
 class DidNotConverge(Exception):
     """Sweeps over the log, or outliers' weights, did not converge."""
 
 
-class Progress:
-    """Watches how far sweeps still move; raises DidNotConverge after PATIENCE sweeps without progress."""
-
-    def __init__(self) -> None:
-        """No sweep yet."""
-        self._least, self._stuck = np.inf, 0
-
-    def note(self, move: float) -> None:
-        """Record one sweep and its largest move, in standard deviations, which must be a number."""
-        if np.isnan(move):
-            raise DidNotConverge("rounding leaves no number")
-        self._stuck = self._stuck + 1 if move > 0.9 * self._least and move > STUCK else 0
-        self._least = min(self._least, move)
-        if self._stuck > PATIENCE:
-            raise DidNotConverge(f"{PATIENCE} sweeps have not come closer than {self._least:.2g}")
+def sure(move: float) -> float:
+    """A sweep's largest move; DidNotConverge if rounding left no number."""
+    if np.isnan(move):
+        raise DidNotConverge("rounding leaves no number")
+    return move

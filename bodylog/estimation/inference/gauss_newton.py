@@ -11,7 +11,7 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import PAST
-from .convergence import DidNotConverge, Progress
+from .convergence import RESTING, SETTLED, SWEEPS, DidNotConverge, sure
 from .filter_records import Readings
 from .folds import Fold, fold_for
 from .initial_path import handed_over, initial_tangents, starts
@@ -19,11 +19,7 @@ from .knot_problem import KnotProblem, full, knot_problem
 from .problem import Problem
 from .scan import rescan
 from .solution import Solution
-from .tangents import RESTING, Tangents
-
-SWEEPS = 40
-SETTLED = 1e-8
-"""Standard deviations: a stretch's start that moves less has converged."""
+from .tangents import Tangents
 
 
 def solve(problem: Problem, warm: Solution | None = None, at: str = "posterior", rest: float = SETTLED) -> Solution:
@@ -44,7 +40,7 @@ def solve(problem: Problem, warm: Solution | None = None, at: str = "posterior",
 def solve_knots(problem: Problem, warm: Solution | None, at: str, rest: float) -> tuple[KnotProblem, Solution]:
     """The knot problem and its solution, which is the whole log's unless the gate rejects a pooled reading."""
     knots, tangents, z, p = initial_sweep(problem, warm)
-    tangents.resting, tangents.share = RESTING * rest / SETTLED, PAST
+    tangents.resting, tangents.share = RESTING * rest, PAST
     return knots, swept(knots.problem, knots.fold, knots.readings, tangents, z, p, at, rest)
 
 
@@ -66,7 +62,7 @@ def swept(
 ) -> Solution:
     """Sweep from starts z (K,C), p (K,K,C) until convergence."""
     tangents.write(problem, fold, readings)
-    trace, moving, move, progress = None, np.ones(fold.count, bool), np.inf, Progress()
+    trace, moving, move = None, np.ones(fold.count, bool), np.inf
     for _ in range(SWEEPS):
         moving |= tangents.draw(problem, fold, readings)
         if trace is not None and not moving.any():
@@ -76,8 +72,7 @@ def swept(
         next_z, next_p = handed_over(z, p, trace.z[-1], trace.p[-1])
         moves = far(z, p, next_z, next_p)
         # a converged start keeps the value it was scanned with, so that small moves add up
-        moving, move = moves >= rest, float(moves.max())
-        progress.note(move)
+        moving, move = moves >= rest, sure(float(moves.max()))
         z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
     raise DidNotConverge(f"laplace: no rest after {SWEEPS} sweeps, last move {move:.2g}")
 

@@ -14,10 +14,6 @@ from .folds import Fold
 if TYPE_CHECKING:
     from .problem import Problem
 
-RESTING = 1e-9
-"""rad: a frame whose linearisation point moves less keeps its tangent; the belief moves by a tenth of it."""
-SAME = 1e-9
-"""Relative change of a frame's variance that is ignored."""
 
 
 class Tangents:
@@ -25,7 +21,7 @@ class Tangents:
 
     def __init__(self, sightings: tuple[Sighting, ...], points: tuple[Array, ...]) -> None:
         """Start from points (F,M), all stale; moves below `resting` rad are ignored · share: PAST, WHOLE."""
-        self._sightings, self.points, self.resting, self.share = sightings, points, RESTING, PAST
+        self._sightings, self.points, self.resting, self.share = sightings, points, 0.0, PAST
         self._stale: tuple[Array, ...] = tuple(np.ones(len(x), bool) for x in points)
         seen = [np.all(np.isfinite(sighting.values), axis=1) for sighting in sightings]
         self._seen = tuple(_rows(some) for some in seen)
@@ -57,7 +53,7 @@ class Tangents:
             elif self._weighed is problem.precision:
                 continue
             var = self._variances(index, sighting, problem.precision, self.share)
-            other = np.logical_or.reduce((np.abs(var / self._var[index] - 1.0) > SAME).T)
+            other = np.logical_or.reduce((np.abs(var / self._var[index] - 1.0) > 1e-9).T)  # rounding
             self._var[index][other] = var[other]
             fold.put(readings.var[:, index, :size], events[other], var[other])
             touched |= fold.sees(events[other])

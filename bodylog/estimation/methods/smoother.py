@@ -12,10 +12,10 @@ from ...body_model import BodyModel
 from ...settings import Estimation
 from ...types import Array, Capabilities, Estimate, Features
 from ..inference import adjoint
-from ..inference.convergence import DidNotConverge, Progress
+from ..inference.convergence import RESTING, SWEEPS, DidNotConverge, sure
 from ..inference.filter_records import Readings
 from ..inference.folds import Fold, fold_for
-from ..inference.gauss_newton import SWEEPS, far, initial_sweep
+from ..inference.gauss_newton import far, initial_sweep
 from ..inference.initial_path import handed_over, starts
 from ..inference.knot_problem import full
 from ..inference.problem import Problem
@@ -29,14 +29,8 @@ from .contract import Method
 from .filtering import drifts, gathered, lost, settled, shown, tuned
 from .results import Beliefs
 
-FORTH = 1
-"""Initial sweeps without a backward pass."""
-
-
 TURNS = 2
 """Most backward passes per forward pass, of which they cost a quarter."""
-STILL = 1e-7
-"""rad: a frame whose linearisation point moves less keeps its tangent."""
 LASTING = 1e-6
 """Standard deviations: tolerance on a stretch's start and end."""
 
@@ -78,9 +72,8 @@ METHOD = Method(estimate, Capabilities(causal=False))
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     """The maximum a posteriori path, first at the knots, then at all instants; or DidNotConverge."""
     knots, tangents, z, p = initial_sweep(problem, warm)
-    tangents.resting, tangents.share = STILL, WHOLE
-    forth = FORTH if warm is None else 0
-    first = _rounds(knots.problem, knots.fold, knots.readings, tangents, z, p, np.zeros_like(z), LASTING, forth)
+    tangents.resting, tangents.share = RESTING * LASTING, WHOLE
+    first = _rounds(knots.problem, knots.fold, knots.readings, tangents, z, p, np.zeros_like(z), LASTING, warm is None)
     fold = fold_for(len(problem.timeline.t))
     lasts = np.searchsorted(knots.events, fold.lasts())
     z, p = starts(problem, fold, first, lasts)
@@ -96,11 +89,11 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
 
 def _rounds(
     problem: Problem, fold: Fold, readings: Readings, tangents: Tangents, z: Array, p: Array, ends: Array,
-    lasting: float, forth: int = 0,
+    lasting: float, forth: bool = False,
 ) -> Path:  # fmt: skip
-    """Rounds from starts z (K,C), p (K,K,C) and ends (K,C) until convergence; the first `forth` only filter."""
+    """Rounds from starts z (K,C), p (K,K,C) and ends (K,C) until convergence; `forth`: the first one only filters."""
     tangents.write(problem, fold, readings)
-    trace, back, progress, moving, rest = None, None, Progress(), np.ones(fold.count, bool), np.inf
+    trace, back, moving, rest = None, None, np.ones(fold.count, bool), np.inf
     for sweep in range(SWEEPS):
         moving |= tangents.draw(problem, fold, readings)
         if trace is not None and back is not None and rest < lasting and not moving.any():
@@ -108,10 +101,9 @@ def _rounds(
         trace = rescan(readings, problem.dynamics, z, p, moving, trace, remember=True)
         next_z, next_p = handed_over(z, p, trace.z[-1], trace.p[-1])
         moves = far(z, p, next_z, next_p)
-        moving, rest = moves >= lasting, float(moves.max())
-        progress.note(rest)
+        moving, rest = moves >= lasting, sure(float(moves.max()))
         z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
-        if sweep >= forth:
+        if sweep or not forth:
             back, ends, pulled = _back(readings, trace, ends, p, rest, problem.precision.order)
             rest = max(rest, pulled)
         tangents.follow(problem, fold, trace.z if back is None else back[0])
