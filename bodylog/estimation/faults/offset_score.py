@@ -20,13 +20,8 @@ from ..noise.correlated_noise import counts
 
 CLIP = 4.0
 """Standard deviations at which innovations are clipped, so that single blunders do not look like an offset."""
-FAR = 0.3
-"""rad: within this distance errors of the body model are correlated, and look like an offset."""
 SPAN = 0.5
 """s over which an offset is taken as constant."""
-PASSES, STILL = 8, 0.05
-"""Most passes over all segments, and the change of the angles at a segment's start, per unit of offset, that ends
-them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +77,7 @@ def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
 
 def _at(solved: Solution, a: Array, events: Array) -> Array:
     """Values of folded a (L,…,C) at the given events: (…,F)."""
-    return np.asarray(a.ravel().take(_places(solved, a, events)))
-
-
-def _places(solved: Solution, a: Array, events: Array) -> Array:
-    """Where the given events stand in the flattened a (L,…,C): (…,F)."""
-    shape, length, stretches = a.shape[1:-1], solved.fold.length, a.shape[-1]
-    each = stretches * np.arange(np.prod(shape, dtype=int)).reshape(*shape, 1)
-    return np.asarray(events % length * (a[0].size) + events // length + each)
+    return np.ascontiguousarray(np.moveaxis(solved.fold.pick(a, events), 0, -1))
 
 
 def _inverse(s: Array) -> Array:
@@ -103,39 +91,35 @@ def _inverse(s: Array) -> Array:
 def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
     """Variance (D,F) added for correlated model error, so that frames of like postures count as one."""
     points, model = solved.tangents.points[track][seen], solved.tangents.model_var(track)[seen]
-    duplicates = counts(np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / FAR))
+    # within 0.3 rad errors of the body model are correlated, and look like an offset
+    duplicates = counts(np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / 0.3))
     return np.asarray((model * (2.0 * duplicates - 2.0)[:, None]).T)
 
 
 def _shift(solved: Solution, tracks: list[_Frames], order: int) -> Array:
     """Derivative (L,M,M,C) of the predicted belief at each instant with respect to each encoder's offset."""
-    readings, trace = solved.readings, solved.trace
+    readings, trace, fold = solved.readings, solved.trace, solved.fold
     gated = raised(readings.encoder_var, _spread(solved), trace.encoder_d**2)
     information = np.where(np.isfinite(readings.encoders), 1.0 / gated, 0.0)
     stiff = np.zeros(trace.prior_cov.shape)
     np.einsum("liic->lic", stiff)[:] = information
     for track in tracks:
-        stiff.reshape(-1)[_places(solved, stiff, track.events)] += track.stiff
+        fold.put(stiff, track.events, fold.pick(stiff, track.events) + np.moveaxis(track.stiff, -1, 0))
     # pseudo-readings of the posture prior have no offset
     weight = np.where(np.isfinite(trace.encoder_d), information, 0.0)
-    shift, begin = np.empty_like(stiff), _first_shift(weight, order)
-    for sweep in range(PASSES):
+    m, shift = weight.shape[1], np.empty_like(stiff)
+    # at first, encoders with readings carry their offset over
+    begin = np.zeros((order, *stiff.shape[1:]))
+    begin[0, np.arange(m), np.arange(m), 1:] = np.any(weight > 0, axis=(0, 2))[:, None]
+    for sweep in range(8):
         # the first guess is so rough that half of each segment forgets it about as well
         rows = slice(0 if sweep else len(shift) // 2, None)
         parts = (part[rows] for part in (shift, readings.dt, stiff, weight, trace.p))
         end = _propagate(begin.copy(), *parts)
         moved, begin[..., 1:] = np.abs(end[0, ..., :-1] - begin[0, ..., 1:]).max(initial=0.0), end[..., :-1]
-        if sweep and moved < STILL:
+        if sweep and moved < 0.05:  # of the offset
             break
     return shift
-
-
-def _first_shift(weight: Array, order: int) -> Array:
-    """First guess (O,M,M,C) of the derivative at the start of segments: 1 for encoders with readings."""
-    _, m, c = weight.shape
-    begin = np.zeros((order, m, m, c))
-    begin[0, np.arange(m), np.arange(m), 1:] = np.any(weight > 0, axis=(0, 2), keepdims=True)[0]
-    return begin
 
 
 def _propagate(
