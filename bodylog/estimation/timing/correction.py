@@ -8,19 +8,17 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import ModelError, UsageError
-from ...types import Array, Estimate, Features, Finding, Hypothesis, Series
+from ...settings import Estimation
+from ...types import Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import repaired
 from ..faults.threshold import NATS, SIGMAS
-from ..measurements.gather import camera, columns
-from ..measurements.long_arrays import any_of_row, rows
+from ..measurements.gather import camera, gather
+from ..measurements.long_arrays import rows
 from ..measurements.records import Encoders, Sighting
-from ..measurements.track import ascending, pixel_variance
 from .regression import FARTHEST, Delay, measured
 
 LEAST = 1e-3
 """s: a smaller delay is ignored; most cameras expose for longer."""
-ENOUGH = 60.0
-"""s in the middle of the log that are tried first."""
 JOINTS = "joints"
 
 
@@ -95,7 +93,8 @@ def measured_delays(features: Features, body: BodyModel) -> dict[str, Delay]:
     if features.joints is None or not len(features.joints.t):
         return {}
     begin, end = np.nanmin(features.joints.t), np.nanmax(features.joints.t)
-    spare = max(0.0, 0.5 * (end - begin - ENOUGH))
+    # the minute in the middle first
+    spare = max(0.0, 0.5 * (end - begin - 60.0))
     asked = {camera(name) for name in features.tracks if name in body.senses}
     found = _measured_between(features, body, begin + spare, end - spare)
     return {**_measured_between(features, body, begin, end), **found} if spare and asked - set(found) else found
@@ -115,16 +114,12 @@ def sound_measurements(
     joints, seen = features.joints, dict[str, list[Sighting]]()
     if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
         return None, {}
-    inside = _rows_between(joints.t, begin, end)
-    values = joints.values[inside][:, columns(joints, body.joints)].astype(float)
-    known = np.isfinite(values)
-    values[~known] = np.nan
-    spoken = rows(any_of_row(known))
-    for name, track in features.tracks.items():
-        if name in body.senses:
-            seen.setdefault(camera(name), []).append(_sighting(name, track, body, _rows_between(track.t, begin, end)))
-    encoders = Encoders(joints.t[inside][spoken], values[spoken], joints.source_ns[inside][spoken])
-    return repaired(encoders), seen
+    tracks = {name: _between(track, begin, end) for name, track in features.tracks.items()}
+    some = replace(features, joints=_between(joints, begin, end), tracks=tracks)
+    found = gather(some, body, Estimation(without=("touch",)))
+    for sighting in found.sightings:
+        seen.setdefault(camera(sighting.name), []).append(sighting)
+    return None if found.encoders is None else repaired(found.encoders), seen
 
 
 def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimate:
@@ -185,16 +180,11 @@ def _stamped(series: Series, timely: Series | None, track: Series | None) -> Ser
     return replace(series, t=track.t[order[np.searchsorted(timely.t[order], series.t)]])
 
 
-def _rows_between(t: Array, begin: float, end: float) -> Array | slice:
-    """Index of the rows of ascending times t (N,) between begin and end."""
-    return rows(ascending(t) & (t >= begin) & (t <= end))
-
-
-def _sighting(name: str, track: Series, body: BodyModel, some: Array | slice) -> Sighting:
-    model, std = body.senses[name], None if track.std is None else track.std[some]
-    var = pixel_variance(std, model, np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float))
-    values = track.values[some]
-    return Sighting(name, model, track.t[some], values, np.broadcast_to(var, values.shape), track.source_ns[some])
+def _between(series: Series, begin: float, end: float) -> Series:
+    """The rows of a series between two times (s)."""
+    some = rows((series.t >= begin) & (series.t <= end))
+    std = None if series.std is None else series.std[some]
+    return replace(series, t=series.t[some], values=series.values[some], source_ns=series.source_ns[some], std=std)
 
 
 def learned_delays(body: BodyModel) -> dict[str, float]:
