@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...types import Array
-from ..measurements.records import Sighting
+from ..measurements.records import Sighting, mixed
 from ..noise.correlated_noise import PAST, WHOLE, ErrorCorrelation, directions, reach, repeated, variances
 from ..noise.noise_model import NoiseModel
 from .filter_records import Readings
@@ -44,18 +44,18 @@ class Tangents:
         """
         touched = np.zeros(fold.count, bool)
         for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
-            stale, size = self._stale[index], sighting.values.shape[1]
+            stale = self._stale[index]
             if stale.any():
                 self._predict(index, sighting, stale)
-                fold.put(readings.y[:, index, :size], events[stale], self._y[index][stale])
-                fold.put(readings.jac[:, index, :size], events[stale], self._jac[index][stale])
+                _put(fold, readings.y, index, events, self._y[index], stale)
+                _put(fold, readings.jac, index, events, self._jac[index], stale)
                 touched |= fold.sees(events[stale])
             elif self._weighed is problem.precision:
                 continue
             var = self._variances(index, sighting, problem.precision, self.share)
             other = np.logical_or.reduce((np.abs(var / self._var[index] - 1.0) > 1e-9).T)  # rounding
             self._var[index][other] = var[other]
-            fold.put(readings.var[:, index, :size], events[other], var[other])
+            _put(fold, readings.var, index, events, var, other)
             touched |= fold.sees(events[other])
         self._weighed = problem.precision
         return touched
@@ -64,8 +64,7 @@ class Tangents:
         """Variances (L,T,D,C) of readings, with frames as in the problem's noise model and a share."""
         var = readings.var.copy()
         for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
-            own = self._variances(index, sighting, problem.precision, share)
-            fold.put(var[:, index, : own.shape[1]], events, own)
+            _put(fold, var, index, events, self._variances(index, sighting, problem.precision, share))
         return var
 
     def model_var(self, index: int) -> Array:
@@ -73,9 +72,10 @@ class Tangents:
         return self._model_var[index]
 
     def _predict(self, index: int, sighting: Sighting, stale: Array) -> None:
-        x = self.points[index][stale]
-        mean, jac, self._model_var[index][stale] = sighting.independent.of(stale, sighting.model.predict(x))
-        self._y[index][stale] = sighting.independent.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
+        x, (values, _, mix) = self.points[index][stale], sighting.independent
+        predicted = mixed(mix if mix is None else mix[stale], sighting.model.predict(x))
+        mean, jac, self._model_var[index][stale] = predicted
+        self._y[index][stale] = values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
         self._jac[index][stale] = jac
 
     def _variances(self, index: int, sighting: Sighting, precision: NoiseModel, share: float) -> Array:
@@ -94,10 +94,9 @@ class Tangents:
     def write(self, problem: "Problem", fold: Fold, readings: Readings) -> None:
         """Write all tangents into other readings of the same log."""
         for index, events in enumerate(problem.timeline.sightings):
-            size = self._y[index].shape[1]
-            fold.put(readings.y[:, index, :size], events, self._y[index])
-            fold.put(readings.jac[:, index, :size], events, self._jac[index])
-            fold.put(readings.var[:, index, :size], events, self._var[index])
+            _put(fold, readings.y, index, events, self._y[index])
+            _put(fold, readings.jac, index, events, self._jac[index])
+            _put(fold, readings.var, index, events, self._var[index])
 
     def again(self) -> "Tangents":
         """An independent copy."""
@@ -118,6 +117,11 @@ class Tangents:
         self.points = tuple(
             np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
         )
+
+
+def _put(fold: Fold, a: Array, index: int, events: Array, rows: Array, some: Array | slice = slice(None)) -> None:
+    """Write some of a sighting's frames (F,D,…) into its part of the folded a (L,T,…,C)."""
+    fold.put(a[:, index, : rows.shape[1]], events[some], rows[some])
 
 
 def _rows(some: Array) -> Array | slice:

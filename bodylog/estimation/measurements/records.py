@@ -76,13 +76,12 @@ class Rows(NamedTuple):
     var: Array
     mix: Array | None = None
 
-    def of(self, some: Array, predicted: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        """Mean (n,D), Jacobian (n,D,M) and model variance (n,D) of some rows."""
-        return predicted if self.mix is None else mixed(self.mix[some], *predicted)
 
-
-def mixed(mix: Array, mean: Array, jac: Array, var: Array) -> tuple[Array, Array, Array]:
-    """Mean (…,D), Jacobian (…,D,M) and model variance (…,D) of the rows made by mix (…,D,D)."""
+def mixed(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """Mean (…,D), Jacobian (…,D,M) and model variance (…,D) of the rows made by mix (…,D,D); None for 1."""
+    if mix is None:
+        return predicted
+    mean, jac, var = predicted
     return (mix @ mean[..., None])[..., 0], mix @ jac, (mix * mix @ var[..., None])[..., 0]
 
 

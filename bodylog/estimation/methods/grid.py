@@ -103,13 +103,6 @@ def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple
     return Plan(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, learning), evidence, line
 
 
-def calmest(plan: Plan) -> Array:
-    """The least σ_x (M,) for any finer grid; the paper's is the same on all."""
-    if plan.encoders is None or plan.encoders.printed:
-        return plan.sigma_x
-    return np.asarray(np.minimum(plan.sigma_x, plan.encoders.sigma.min(axis=0) * GAINS[0] / (1.0 - GAINS[0])))
-
-
 def _encoders(found: Encoders, body: BodyModel, t: Array, variance: Array, printed: bool) -> Sense:
     s, _ = on_grid(found.t, found.values, t)
     return Sense("encoders", s, body.senses.get("encoders"), np.broadcast_to(variance, s.shape), printed=printed)

@@ -16,7 +16,7 @@ from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline
 from . import results
 from .contract import VARIANCES, Method
-from .grid import Plan, at_instants, calmest, innovations, plan_for
+from .grid import GAINS, Plan, at_instants, innovations, plan_for
 from .results import Beliefs
 
 POSTURES, MARGIN = 16, 0.8
@@ -105,8 +105,11 @@ def step_warning(plan: Plan) -> tuple[Finding, ...]:
     """A finding if Δt exceeds the stable step of Algorithm 1, with the slowest stable rate."""
     if plan.dt <= stable_step(plan):
         return ()
-    # σ_x is smaller on a finer grid, and the arm passes between the postures looked at
-    rate = _rounded_up(1.0 / (MARGIN * stable_step(replace(plan, sigma_x=calmest(plan)))))
+    # a learned σ_x is smaller on a finer grid, and the arm passes between the postures looked at
+    if plan.encoders is not None and not plan.encoders.printed:
+        least = plan.encoders.sigma.min(axis=0) * GAINS[0] / (1.0 - GAINS[0])
+        plan = replace(plan, sigma_x=np.minimum(plan.sigma_x, least))
+    rate = _rounded_up(1.0 / (MARGIN * stable_step(plan)))
     text = f"explicit with Δt {plan.dt:g} s is unstable, the largest stable Δt is {1.0 / rate:.2g} s"
     return (Finding("warning", f"step: {text}; type --rate {rate:g} or --step implicit"),)
 

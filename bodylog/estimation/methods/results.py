@@ -45,7 +45,7 @@ def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, b
     hypotheses = {"hypotheses": [asdict(one) for one in evidence.hypotheses]} if evidence.hypotheses else {}
     return Estimate(
         method, series(z[:, :m], "rad"), series(z[:, m : 2 * m], "rad/s"), beliefs.cov[at], errors,
-        per_output(beliefs.nats, at), evidence.used,
+        np.diff(np.cumsum(beliefs.nats)[at], prepend=0.0), evidence.used,
         {name: predicted for name, (_, predicted, _) in sights.items() if name != "touch"},
         {name: cov for name, (_, _, cov) in sights.items() if name != "touch"},
         {**beliefs.settings, **hypotheses},
@@ -58,12 +58,10 @@ def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, 
     """Standardised errors where seen; the place predicted before the frame; its covariance (F,D,D) with noise."""
     mean, jac, var = sighting.model.predict(beliefs.before[events])
     cov = _projected(jac, beliefs.before_cov[events])
-    scale, diagonal = beliefs.scale.get(sighting.name, 1.0), np.einsum("fdd->fd", cov)
-    if sighting.cov is not None:
-        cov += scale * sighting.cov
-    diagonal += var if sighting.cov is not None else var + scale * sighting.var
+    scale, names = beliefs.scale.get(sighting.name, 1.0), sighting.model.outputs
+    cov += scale * (sighting.var[..., None] * np.eye(len(names)) if sighting.cov is None else sighting.cov)
+    np.einsum("fdd->fd", cov)[:] += var
     std = np.sqrt(np.einsum("fdd->fd", cov))
-    names = sighting.model.outputs
     seen = seen_rows(sighting.values)
     error = ((sighting.values - mean) / std)[seen]
     mean = mean if sighting.displaced is None else mean + sighting.displaced
@@ -77,9 +75,3 @@ def _projected(jac: Array, cov: Array) -> Array:
     jac, cov = (np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in (jac, cov))
     found = np.einsum("dkf,ekf->fde", np.einsum("dmf,mkf->dkf", jac, cov), jac)
     return np.ascontiguousarray(found)
-
-
-def per_output(nats: Array, outputs: Array) -> Array:
-    """Free energy (O,) nats of all measurements since the previous output."""
-    total = np.cumsum(nats)[outputs]
-    return np.diff(total, prepend=0.0)

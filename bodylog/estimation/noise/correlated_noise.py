@@ -164,8 +164,7 @@ class PendingFrame:
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
         """Mean (N,D), Jacobian (N,D,M) and model variance (N,D) at angles x (N,M)."""
-        predicted = self.model.predict(x)
-        return predicted if self.mix is None else mixed(self.mix, *predicted)
+        return mixed(self.mix, self.model.predict(x))
 
     def predicted(self, x: Array) -> tuple[Array, Array, Array]:
         """Mean (D,), Jacobian (D,M) and model variance (D,) at angles x (M,)."""
