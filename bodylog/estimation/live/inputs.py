@@ -70,11 +70,11 @@ class Inputs:
         sizes, possible = ((4,), "") if name == "touch" else ((2, 4), "(u, v) or ")
         found = _numbers(name, given, sizes, f"{possible}(u, v, std_u, std_v) in px")
         place, std = found[:2], found[2:] if len(found) == 4 else None
-        if name == "touch" and std is not None and self._variance[name] is None:
+        if (given_var := self._variance[name]) is not None:
+            return place, np.full(2, given_var)
+        if name == "touch" and std is not None:
             return place, np.square(std)
-        fallback = np.array(self._noise.get(name, (1.0, 1.0)), float)
-        typed = self._variance[name]
-        return place, pixel_variance(std, self.models[name], fallback) if typed is None else np.full(2, typed)
+        return place, pixel_variance(std, self.models[name], np.array(self._noise.get(name, (1.0, 1.0)), float))
 
     def accept(self, t: float, given: Observation, late: bool) -> Observation:
         """Keep the readings of time t (s) that may be used; count the others by reason."""

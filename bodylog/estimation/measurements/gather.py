@@ -26,7 +26,8 @@ FIRST = "camera"
 
 def gather(features: Features, body: BodyModel, settings: Estimation, whole: bool = True) -> Evidence:
     """Gather the measurements that the settings ask for; `whole`: all frames of one touch count as one sighting."""
-    wanted, joints = chosen(_visual(features, body), body, settings), features.joints
+    visual = [name for sense in SENSES.values() if sense.group == "vision" for name in sense.names(features, body)]
+    wanted, joints = chosen(visual, body, settings), features.joints
     encoders, used = _encoders(joints, body.joints, wanted)
     sightings = list[Sighting]()
     for sense in SENSES.values():
@@ -41,18 +42,14 @@ def gather(features: Features, body: BodyModel, settings: Estimation, whole: boo
 def sound(evidence: Evidence, features: Features, body: BodyModel, settings: Estimation) -> Evidence:
     """Keep the senses with measurements; EvidenceError where a named one, or every one, has none."""
     used, encoders = evidence.used, evidence.encoders
-    wanted = chosen(_visual(features, body), body, settings)
-    findings = _check(used, settings.senses or (), features, silent(body.joints, encoders), wanted)
+    findings = _check(
+        used, settings.senses or (), features, silent(body.joints, encoders), chosen((), body, settings)
+    )
     # touches out of time are a result: they stay, with their small weights
     kept = tuple(s for s in evidence.sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
     if not kept and (encoders is None or not np.isfinite(encoders.values).any()):
         raise EvidenceError(f"no sense has measurements: {_counts(used)}; give a log with joints or an effector")
     return replace(evidence, sightings=kept, findings=(*evidence.findings, *findings))
-
-
-def _visual(features: Features, body: BodyModel) -> list[str]:
-    """Names of all measurements of vision."""
-    return [name for sense in SENSES.values() if sense.group == "vision" for name in sense.names(features, body)]
 
 
 def silent(names: tuple[str, ...], encoders: Encoders | None) -> list[str]:

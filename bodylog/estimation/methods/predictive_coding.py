@@ -12,6 +12,7 @@ from ...body_model import BodyModel
 from ...errors import UsageError
 from ...settings import Estimation
 from ...types import Array, Capabilities, Estimate, Features, Finding
+from ..measurements.gather import silent
 from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline
 from . import results
@@ -122,8 +123,7 @@ def _rounded_up(rate: float) -> float:
 
 def _without_encoders(plan: Plan, evidence: Evidence, names: tuple[str, ...]) -> tuple[Finding, ...]:
     """A finding for joints without encoder readings, because σ_x is learned from encoders."""
-    readings = np.empty((0, len(names))) if evidence.encoders is None else evidence.encoders.values
-    still = ", ".join(name for name, column in zip(names, readings.T, strict=True) if not np.isfinite(column).any())
+    still = ", ".join(silent(names, evidence.encoders))
     if not still or all(sense.printed for sense in plan.senses):
         return ()
     text = f"knows no motion of {still} without encoders: errors are far beyond its error bars; type --method laplace"
