@@ -94,9 +94,8 @@ class Tangents:
     def write(self, problem: "Problem", fold: Fold, readings: Readings) -> None:
         """Write all tangents into other readings of the same log."""
         for index, events in enumerate(problem.timeline.sightings):
-            _put(fold, readings.y, index, events, self._y[index])
-            _put(fold, readings.jac, index, events, self._jac[index])
-            _put(fold, readings.var, index, events, self._var[index])
+            for folded, own in ((readings.y, self._y), (readings.jac, self._jac), (readings.var, self._var)):
+                _put(fold, folded, index, events, own[index])
 
     def again(self) -> "Tangents":
         """An independent copy."""

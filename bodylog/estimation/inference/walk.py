@@ -178,9 +178,8 @@ def _sights(problem: Problem, share: float, before: int) -> dict[int, list[tuple
         scale, near = precision.scale.get(sighting.name, 1.0), precision.near.get(sighting.name, 0.0)
         like = ErrorCorrelation(precision.process, reach(sighting.model), near, share, order=precision.order)
         for row in np.flatnonzero(np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)):
-            (values, var, mix), k = sighting.independent, int(events[row])
+            (values, var, mix), t = sighting.independent, float(sighting.t[row])
             own = None if mix is None else mix[row]
-            t, last = float(sighting.t[row]), LastFrame()
-            sight = PendingFrame(sighting.model, t, values[row], scale * var[row], like, last, own)
-            found.setdefault(k, []).append((track, sight))
+            sight = PendingFrame(sighting.model, t, values[row], scale * var[row], like, LastFrame(), own)
+            found.setdefault(int(events[row]), []).append((track, sight))
     return found

@@ -135,10 +135,7 @@ class Estimator:
         posture = prior_of(self._inputs.silent, self._inputs.wanted, process, x, order)
         dynamics = Dynamics(process, drift, None if posture is None else posture.joints, order)
         models = self._inputs.models
-        like = {
-            n: ErrorCorrelation(process, reach(model), near.get(n, 0.0), PAST, order=order)
-            for n, model in models.items()
-        }
+        like = {n: ErrorCorrelation(process, reach(m), near.get(n, 0.0), PAST, order=order) for n, m in models.items()}
         adrift, steady = adrift_prior(self._inputs.wanted, process, x, order), EncoderSteps(dynamics, precision.encoder)
         one = _Filter(Motion(dynamics), steady, posture, adrift, precision, like, models)
         z, p = initial_path.prior_of(x, dynamics)

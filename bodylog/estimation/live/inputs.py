@@ -51,8 +51,7 @@ class Inputs:
     def read(self, joints: Angles | None, places: Mapping[str, Place | None]) -> Observation:
         """Convert readings to arrays; UsageError or ModelError where they do not fit the body."""
         angles = None if joints is None else self._angles(joints)
-        known = {name: place for name, place in places.items() if place is not None}
-        return Observation(angles, {name: self._place(name, place) for name, place in known.items()})
+        return Observation(angles, {name: self._place(name, one) for name, one in places.items() if one is not None})
 
     def _angles(self, given: Angles) -> Array:
         names = self._joints
