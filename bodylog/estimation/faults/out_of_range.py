@@ -11,9 +11,6 @@ from ...types import Array, Finding
 from ..measurements.records import Evidence
 from .contract import Verdict
 
-BESIDE = 0.5
-"""rad, or share of the explored range, by which readings may lie beyond it."""
-
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
     """Check the range of all readings, unused encoders included: they give the initial belief."""
@@ -40,8 +37,11 @@ def range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
 
 
 def _within(readings: Array, low: float, high: float) -> bool:
-    """Whether at least half of the finite values (N,) lie near the explored range; True if there are no values."""
-    readings, beside = readings[np.isfinite(readings)], max(BESIDE, BESIDE * (high - low))
+    """Whether at least half of the finite values (N,) lie near the explored range; True if there are no values.
+
+    Near is up to half of the range, and at least half a radian, beyond it.
+    """
+    readings, beside = readings[np.isfinite(readings)], 0.5 * max(1.0, high - low)
     return not len(readings) or bool(np.mean((readings >= low - beside) & (readings <= high + beside)) >= 0.5)
 
 

@@ -19,10 +19,6 @@ from .threshold import LEAST, NATS
 
 PART, SPAN, FEWEST = 0.25, 4.0, 3
 """s of frames averaged to one position, s per window of the log, and fewest frames to average."""
-STEPS = 4
-"""Gauss–Newton steps to the angle that explains a position."""
-LEFT = 0.2
-"""Largest unexplained share of the explained nats."""
 
 
 class Stall(NamedTuple):
@@ -53,7 +49,8 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     less than the encoder's step.
     """
     rows = seen(sighting.values) & (sighting.t > begin) & (sighting.t <= end)
-    parts = [p for p in _parts(sighting.t[rows], begin) if len(p) >= FEWEST]
+    number = np.floor((sighting.t[rows] - begin) / PART)
+    parts = [p for p in (np.flatnonzero(number == k) for k in np.unique(number)) if len(p) >= FEWEST]
     if len(parts) < 2:
         return 0.0
     x = encoders.at(sighting.t[rows])
@@ -68,36 +65,29 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     found = [_explained(sighting, place, noise, middle, k) for k in range(x.shape[1])]
     (gain, left, apart), others = found[joint], [g for k, (g, *_) in enumerate(found) if k != joint]
     least = max(LEAST, 2.0 * step_size(encoders.values[np.isfinite(encoders.values[:, joint]), joint]))
-    beside = max(others, default=0.0)
     # better than rest, and better than motion of any other joint
-    won = min(gain - len(parts), gain - beside)
-    return won if left < LEFT * gain + len(parts) and apart > least else 0.0
+    won = min(gain - len(parts), gain - max(others, default=0.0))
+    return won if left < 0.2 * gain + len(parts) and apart > least else 0.0
 
 
 def _explained(
     sighting: Sighting, place: Array, noise: Array, x: Array, joint: int
 ) -> tuple[float, float, float]:  # fmt: skip
     """Nats that motion of one joint explains of positions (P,D) at postures x (P,M), nats left, and its range (rad)."""
-    moved, none = np.zeros(len(x)), sighting.model.predict(x)[0]
-    for _ in range(STEPS):
-        mean, jac, _ = sighting.model.predict(x + np.outer(moved, np.arange(x.shape[1]) == joint))
+    own, moved = np.arange(x.shape[1]) == joint, np.zeros(len(x))
+    none = sighting.model.predict(x)[0]
+    for _ in range(4):
+        mean, jac, _ = sighting.model.predict(x + np.outer(moved, own))
         slope, off = jac[:, :, joint], place - mean
         stiff = (slope * slope / noise).sum(axis=1)
         moved += np.divide((slope * off / noise).sum(axis=1), stiff, out=np.zeros_like(stiff), where=stiff > 0.0)
         moved = np.clip(moved, -1.0, 1.0)
-    mean = sighting.model.predict(x + np.outer(moved, np.arange(x.shape[1]) == joint))[0]
+    left = _misfit(place - sighting.model.predict(x + np.outer(moved, own))[0], noise)
     # a constant offset is not motion
-    still, left = _misfit(place - none, noise, True), _misfit(place - mean, noise, False)
-    return still - left, left, float(np.ptp(moved))
+    constant = ((place - none) / noise).sum(axis=0) / (1.0 / noise).sum(axis=0)
+    return _misfit(place - none - constant, noise) - left, left, float(np.ptp(moved))
 
 
-def _misfit(off: Array, noise: Array, centred: bool) -> float:
-    """Half the squared residuals off (P,D) over their variances, after their weighted mean if `centred`."""
-    mean = (off / noise).sum(axis=0) / (1.0 / noise).sum(axis=0) if centred else 0.0
-    return float(0.5 * (np.square(off - mean) / noise).sum())
-
-
-def _parts(t: Array, begin: float) -> list[Array]:
-    """Row numbers of frames at t (F,) s, grouped by PART of the time since begin."""
-    number = np.floor((t - begin) / PART).astype(int)
-    return [np.flatnonzero(number == k) for k in np.unique(number)]
+def _misfit(off: Array, noise: Array) -> float:
+    """Half the squared residuals off (P,D) over their variances."""
+    return float(0.5 * (np.square(off) / noise).sum())

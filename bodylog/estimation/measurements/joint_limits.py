@@ -10,13 +10,10 @@ from ...kinematics.robot import Limits
 from ...types import Array, Finding, Series
 from .joints_alone import NAMED, STEP
 
-MOST = 0.99
-"""Quantile of the excess by which units are judged, so that single wild readings decide nothing."""
-
 
 @dataclass(frozen=True)
 class _Outside:
-    """A joint's readings beyond its limits: count, of how many, largest and MOST quantile of the excess, since (s)."""
+    """A joint's readings beyond its limits: count, of how many, largest and 99 % quantile of the excess, since (s)."""
 
     name: str
     limits: Limits
@@ -59,7 +56,8 @@ def _outside(name: str, limits: Limits, t: Array, y: Array) -> _Outside:
     if not out.any():
         return _Outside(name, limits, 0, len(beyond), 0.0, 0.0, 0.0)
     since = float(t[np.isfinite(y)][out][0])
-    worst, typical = np.quantile(beyond, [1.0, MOST]).tolist()
+    # single wild readings decide nothing about units
+    worst, typical = np.quantile(beyond, [1.0, 0.99]).tolist()
     return _Outside(name, limits, int(out.sum()), len(beyond), worst, typical, since)
 
 

@@ -13,10 +13,6 @@ STEP = 2.0 * np.pi / 4096.0
 """rad: the step of a 12-bit encoder, assumed for one that never moves."""
 PROCESS = 1.0
 """rad²/s³: process noise of joints that never move; others learn theirs."""
-PAUSE, LONG = 20.0, 0.5
-"""Median steps in time, and s: a longer gap between readings is reported."""
-OFTEN = 0.5
-"""Share of repeated readings that is reported."""
 NAMED = 3
 """Joints or times named in one remark."""
 
@@ -41,9 +37,9 @@ def no_body_findings(cameras: Sequence[str]) -> Iterator[Finding]:
 def reading_findings(joints: Series) -> Iterator[Finding]:
     """Yield remarks on stamps and readings: steps back, repeats, gaps, joints without readings."""
     yield from _stamps(joints)
-    repeats = {n: np.diff(y) == 0.0 for n, y in zip(joints.names, joints.values.T, strict=True)}
-    share = {name: float(np.mean(same)) for name, same in repeats.items() if len(same)}
-    if often := {name: part for name, part in share.items() if part > OFTEN}:
+    columns = dict(zip(joints.names, joints.values.T, strict=True)) if len(joints.t) > 1 else {}
+    share = {name: float(np.mean(np.diff(y) == 0.0)) for name, y in columns.items()}
+    if often := {name: part for name, part in share.items() if part > 0.5}:
         most = sorted(often, key=lambda name: -often[name])
         some = ", ".join(f"{name} {often[name]:.0%}" for name in most[:NAMED])
         more = f" and {len(most) - NAMED} more" if len(most) > NAMED else ""
@@ -54,21 +50,18 @@ def reading_findings(joints: Series) -> Iterator[Finding]:
 
 
 def _stamps(joints: Series) -> Iterator[Finding]:
-    t = joints.t
-    if len(t) < 2:
-        return
-    steps, rising = np.diff(t), ascending(t)
-    if same := int((steps == 0.0).sum()):
-        at = float(t[1:][steps == 0.0][0])
-        yield Finding("warning", f"joints: {same} of {len(t)} stamps repeat the one before, first at {at:.3f} s")
-    if back := int((steps < 0.0).sum()):
-        at = float(t[1:][steps < 0.0][0])
-        left = f"{int((~rising).sum())} readings left out"
-        yield Finding("warning", f"joints: stamps run backwards {back} times, first at {at:.3f} s; {left}")
-    usual = float(np.median(np.diff(t[rising]))) if rising.sum() > 1 else 0.0
-    pauses = np.diff(t[rising]) > max(PAUSE * usual, LONG)
-    if pauses.any():
-        begins, lasting = t[rising][:-1][pauses], np.diff(t[rising])[pauses]
-        some = ", ".join(f"{b:.3f} s for {d:.2f} s" for b, d in zip(begins[:NAMED], lasting[:NAMED], strict=True))
-        more = f" and {int(pauses.sum()) - NAMED} times more" if pauses.sum() > NAMED else ""
+    t, rising = joints.t, ascending(joints.t)
+    steps, sound = np.diff(t), t[rising]
+    if (same := steps == 0.0).any():
+        at = float(t[1:][same][0])
+        yield Finding("warning", f"joints: {same.sum()} of {len(t)} stamps repeat the one before, first at {at:.3f} s")
+    if (back := steps < 0.0).any():
+        at, left = float(t[1:][back][0]), f"{(~rising).sum()} readings left out"
+        yield Finding("warning", f"joints: stamps run backwards {back.sum()} times, first at {at:.3f} s; {left}")
+    lasting = np.diff(sound)
+    # longer than twenty usual steps, and half a second
+    pauses = np.flatnonzero(lasting > max(20.0 * np.median(lasting), 0.5)) if len(lasting) else ()
+    if len(pauses):
+        some = ", ".join(f"{sound[k]:.3f} s for {lasting[k]:.2f} s" for k in pauses[:NAMED])
+        more = f" and {len(pauses) - NAMED} times more" if len(pauses) > NAMED else ""
         yield Finding("warning", f"joints: no reading from {some}{more}")

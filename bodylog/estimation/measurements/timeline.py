@@ -11,12 +11,8 @@ from .records import Evidence
 
 FASTEST = 100.0
 """Hz: encoders faster than this are all used, but the output is on a grid of this rate."""
-
 INSTANTS, EACH = 300_000, 10.0
 """A grid of more instants than this, and of more per stamp than this, mostly covers silence and is refused."""
-
-SAME = 1e-6
-"""s: an output time closer than this to a stamp is moved to that stamp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +79,10 @@ def spans(t: Array, width: float) -> Array:
 
 
 def snapped(grid: Array, t: Array) -> Array:
-    """Grid times (O,) s moved onto a stamp of t that is the same up to rounding."""
+    """Grid times (O,) s moved onto a stamp of t that is the same up to rounding, 1e-6 s."""
     right = np.minimum(np.searchsorted(t, grid), len(t) - 1)
     near = np.where(np.abs(t[right] - grid) <= np.abs(t[np.maximum(right - 1, 0)] - grid), right, right - 1)
-    return np.where(np.abs(t[near] - grid) < SAME, t[near], grid)
+    return np.where(np.abs(t[near] - grid) < 1e-6, t[near], grid)
 
 
 def _latest_source(evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array, ...]) -> Array:

@@ -22,8 +22,6 @@ BLUR, SLOW, GAP = 0.1, 0.08, 3.5
 largest gap to interpolate, in median steps."""
 COARSE = 0.25
 """s: frames farther apart are not interpolated."""
-ASIDE = 1e-3
-"""s: joints whose mean times differ by more were not read together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +166,8 @@ def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, A
     count, total, time = (np.add.reduceat(part, starts, axis=0) for part in parts)
     full = count.min(axis=1) >= np.maximum(0.5 * np.median(count), 1.0)
     count, total, time = count[full], total[full], time[full] / count[full]
-    together = np.ptp(time, axis=1) < ASIDE
+    # a delay is known to a millisecond at best: joints whose mean times differ by more were not read together
+    together = np.ptp(time, axis=1) < 1e-3
     return encoders.t[0] + time[together].mean(axis=1), (total / count)[together], count[together]
 
 
