@@ -30,8 +30,8 @@ class EncoderSteps:
     def moved(self, belief: Array, dt: float) -> Array:
         """The belief (K,K+1) after dt (s)."""
         m, order, found = self.joints, self._order, belief.copy()
-        carry([found[state * m : state * m + m] for state in range(order)], dt)
-        carry([found[:, state * m : state * m + m] for state in range(order)], dt)
+        for part in (found, found.T):
+            carry(part[: order * m].reshape(order, m, -1), dt)  # a view
         powers = [dt**power for power in range(1, 2 * order)]
         found += np.array(powers).dot(self._flat).reshape(found.shape)
         return found

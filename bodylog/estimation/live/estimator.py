@@ -189,7 +189,7 @@ class _Filter:
         lost, borne = watch.judge(at.t, z, p, angles, var, bool(at.places), motion.order)
         if lost is not None:
             forget(z, p, lost, angles, dt, motion.order)
-        here = {name: watch.with_last_frame(name, self._frame(name, at.t, *at.places[name])) for name in at.places}
+        here = {name: self._frame(name, at.t, *place, watch.seen.get(name)) for name, place in at.places.items()}
         if self.posture is not None and dt > 0.0:
             angles, var = self.posture.read(angles, var, dt)
         if adrift := bool(here and watch.adrift(at.t).any()):
@@ -203,10 +203,10 @@ class _Filter:
         belief[:, :-1], belief[:, -1] = found.p, found.z
         return State(at.t, belief, watch, watch.borne.tolist(), oldest, 0, found.nats, errors, lost)
 
-    def _frame(self, name: str, t: float, place: Array, var: Array) -> PendingFrame:
-        """A track's frame at t (s)."""
-        scale = self.precision.scale.get(name, 1.0)
-        return PendingFrame(self.models[name], t, place, scale * var, self.like[name], LastFrame())
+    def _frame(self, name: str, t: float, place: Array, var: Array, last: PendingFrame | None) -> PendingFrame:
+        """A frame at t (s), with the track's last one."""
+        scale, memory = self.precision.scale.get(name, 1.0), LastFrame() if last is None else last.memory
+        return PendingFrame(self.models[name], t, place, scale * var, self.like[name], memory)
 
 
 def _needs_no_log(settings: Estimation, body: BodyModel) -> None:
