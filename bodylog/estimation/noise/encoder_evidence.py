@@ -42,8 +42,8 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -
     """Log evidence (R,M) per ratio process/noise (R,M), with the noise variance that maximises it given the ratio.
 
     Time steps dt (L,M,C) s · readings y (L,M,C) rad, NaN where absent · restarts `fresh` (L,M,C) bool. The first
-    WARM readings of all stretches but the first do not count. Also the largest innovation (R,M) that the next one
-    reaches too, on the same side, in standard deviations.
+    WARM readings of all stretches but the first do not count. Also the largest innovation (R,M) of which the next one
+    reaches a quarter, on the same side, in standard deviations.
     """
     known, count = np.isfinite(y), np.arange(len(y))[:, None, None]
     fresh = np.asarray(fresh | (count == 0))
@@ -63,13 +63,14 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -
 def _sums(
     steps: _Steps, y: Array, gains: Iterator[tuple[Array, Array, Array]], which: Array | slice, ratios: int, order: int
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Sums (M,R) of squared innovations over their variances and of log variances; the largest that the next reaches.
+    """Sums (M,R) of squared innovations over their variances and of log variances; the largest that lags.
 
-    A reading that is false pulls the filter, so that the next is off to the other side: only one side counts as a lag.
+    A reading that is false pulls the filter, so that the next is off to the other side. After a sudden motion the next
+    one is off to the same side, by less: a quarter tells it from noise.
     `gains` as in `_gains`, by group of joints; `which` (M,): the group of each joint.
     """
     x, y = np.zeros((order, *y.shape[1:], ratios)), np.where(np.isfinite(y), y, 0.0)[..., None]
-    squares, nu, lag, lead, more = np.zeros((5, *x.shape[1:]))
+    squares, nu, lag, lead, more, wide = np.zeros((6, *x.shape[1:]))
     logs, recent = np.zeros(()), np.zeros((2, *squares.shape))
     begins: Array = np.any(steps.fresh, axis=(1, 2))
     for i, (gain, weight, log) in enumerate(gains):
@@ -82,8 +83,9 @@ def _sums(
         np.multiply(nu, weight[which], out=off)
         squares += np.multiply(off, off, out=more)
         logs = np.asarray(logs + log)
-        np.maximum(lag, np.minimum(off, before, out=more), out=lag)
-        np.minimum(lead, np.maximum(off, before, out=more), out=lead)
+        np.multiply(off, 4.0, out=wide)
+        np.maximum(lag, np.minimum(wide, before, out=more), out=lag)
+        np.minimum(lead, np.maximum(wide, before, out=more), out=lead)
         for state, share in zip(x, gain, strict=True):
             np.multiply(share[which], nu, out=more)
             state += more

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
+from ..inference.conditioning import GATE
 from ..measurements.long_arrays import median, median_step
 from ..measurements.records import Encoders
 from .encoder_evidence import WARM, evidence
@@ -14,8 +15,6 @@ TRIED = 45
 """Ratios tried, over all magnitudes; a parabola through the best of them is exact enough for the evidence."""
 RANGE = {2: (1e-9, 1e6), 3: (1e-11, 1e6)}
 """Ratios of process to noise, per reading, by the motion's order."""
-LAGGING = 4.0
-"""Standard deviations: two consecutive readings that are farther off mean that the filter lags."""
 RAISED = 2.0
 """Factor on a density per step, until the filter keeps up."""
 SPACING = 0.01
@@ -105,7 +104,7 @@ def likeliest(series: list[tuple[Array, Array]], order: int = 2) -> tuple[Array,
     score, noise, lag = evidence(*folded, ratios, order)
     nats = np.asarray(score.max(axis=0))
     ratio, variance = _peak(ratios, score, noise)
-    if (lag[score.argmax(axis=0), np.arange(len(series))] > LAGGING).any():
+    if (lag[score.argmax(axis=0), np.arange(len(series))] > GATE).any():
         ratio = _followed_by(folded, ratio, variance, order)
     return variance * fellows, variance * ratio, nats
 
@@ -115,7 +114,7 @@ def _followed_by(folded: tuple[Array, Array, Array], ratio: Array, variance: Arr
     raised = ratio * RAISED ** np.arange(24)[:, None]
     _, noise, lag = evidence(*folded, raised, order)
     off = lag * np.sqrt(noise / variance)
-    keeps: Array = np.asarray(off <= LAGGING)
+    keeps: Array = np.asarray(off <= GATE)
     return np.asarray(raised[np.where(keeps.any(axis=0), keeps.argmax(axis=0), len(raised) - 1), np.arange(len(ratio))])
 
 
