@@ -47,9 +47,11 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
         nats, solved = costs(part, solved, np.exp(candidates), names)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
     warm = replace(solved[1], knots=solved) if part.timeline is problem.timeline else None
-    fewer = {view: _moving(problem, *_with_view(part, view), whole).process for view in _less(problem)}
-    likeliest = _moving(problem, part, solved, False).process if whole else None
-    return replace(_moving(problem, part, solved, whole), fewer=fewer, likeliest=likeliest), warm
+    if whole:
+        likeliest = _moving(problem, part, solved, False).process
+        return replace(_moving(problem, part, solved, True), fewer={}, likeliest=likeliest), warm
+    fewer = {view: _moving(problem, *_with_view(part, view), False).process for view in _less(problem)}
+    return replace(_moving(problem, part, solved, False), fewer=fewer), warm
 
 
 def _less(problem: Problem) -> list[View]:
