@@ -24,7 +24,7 @@ from tests.estimation.resting import Drawn, drawn
 from tests.validation import error_bars, figures, logs
 from tests.validation import motion_order as motions
 
-COUNT, STILL = 3, 10
+COUNT, STILL = 3, 20
 """Logs of a kind; still arms have one posture each, so that few say little."""
 
 
