@@ -117,7 +117,7 @@ def sound_measurements(
     tracks = {name: _between(track, begin, end) for name, track in features.tracks.items()}
     some = replace(features, joints=_between(joints, begin, end), tracks=tracks)
     found = gather(some, body, Estimation(without=("touch",)))
-    for sighting in found.sightings:
+    for sighting in (one for one in found.sightings if one.name in tracks):
         seen.setdefault(camera(sighting.name), []).append(sighting)
     return None if found.encoders is None else repaired(found.encoders), seen
 
