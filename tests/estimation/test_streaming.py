@@ -44,9 +44,9 @@ def messages_of(features: Features, body: BodyModel, late: Callable[[str], float
             places = track.values if track.std is None else np.hstack([track.values, track.std])
             messages += [(t + late(name), (t, name, place)) for t, place in zip(track.t, places, strict=True)]
     if features.touches:
-        t, values, var, _, _ = touch.sightings(features, body)
-        places = np.hstack([values, np.sqrt(var)])
-        messages += [(at + late("touch"), (at, "touch", place)) for at, place in zip(t, places, strict=True)]
+        found, _ = touch.sightings(features, body)
+        places = np.hstack([found.values, np.sqrt(found.var)])
+        messages += [(at + late("touch"), (at, "touch", place)) for at, place in zip(found.t, places, strict=True)]
     return [message for _, message in sorted(messages, key=lambda pair: pair[0])]
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 
 from ...body_model import BodyModel
-from ...types import Array, Features, Health
+from ...types import Array, Features, Health, Series
 from .contract import Measured
+from .long_arrays import seen as rows_seen
 from .records import Sighting
 from .track import ascending
 
@@ -12,6 +13,7 @@ LEAST = 1e-9
 """A touch with less weight is ignored."""
 COUNTS = 1e-3
 """A touch with less weight, a thousandth of a synchronous one, is used but not counted as used."""
+NO_HAND = Series(np.empty(0), np.empty((0, 2)), ("u", "v"), "px", np.empty(0, np.int64))
 
 
 class Touch:
@@ -28,44 +30,35 @@ class Touch:
 
     def read(self, name: str, features: Features, body: BodyModel, whole: bool = True) -> Measured:
         """Read the effector's positions by touch."""
-        t, values, var, source_ns, count = sightings(features, body, whole)
+        found, count = sightings(features, body, whole)
         seen = 0 if features.touches is None else len(features.touches)
         paired = sum(bool(np.isfinite(pair.delay)) and pair.weight <= COUNTS for pair in features.synchrony)
         reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
-        left = {reason: number for reason, number in reasons.items() if number}
-        rising = ascending(t)
-        t, values, var, source_ns = (part[rising] for part in (t, values, var, source_ns))
-        return Measured(Sighting(name, body.senses["effector"], t, values, var, source_ns), Health(seen, count, left))
+        return Measured(found, Health(seen, count, {reason: number for reason, number in reasons.items() if number}))
 
 
-def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[Array, Array, Array, Array, int]:
-    """Effector by touch: t (K,) s · values (K,2) px · variance (K,2) px² · source_ns (K,); touches used.
+def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[Sighting, int]:
+    """Effector by touch, positions and variances (K,2) px, px²; and how many touches are used.
 
     ln g_t = −b₁ w |g_v − o_v|² + const is a Gaussian of variance 1/(2 b₁ w) about the hand, or about the learned
     position of the touched cell. A hand strokes along the limb, so errors of one touch's frames are correlated: `whole`
     makes all of them count as one sighting.
     """
-    nothing = np.empty(0), np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.int64), 0
-    hand = features.hand
-    if hand is None or not features.touches:
-        return nothing
-    seen, strongest = np.isfinite(hand.values).all(axis=1), weights(features, hand.t)
-    parts, taken, count = [], np.zeros(len(hand.t), bool), 0
-    for pair in features.synchrony:
-        touch = features.touches[pair.touch]
-        during = seen & ~taken & (hand.t >= touch.onset) & (hand.t <= touch.offset) & (strongest == pair.weight)
-        taken |= during
+    hand, touches, count = features.hand or NO_HAND, features.touches or (), 0
+    free, strongest = ascending(hand.t) & rows_seen(hand.values), weights(features, hand.t)
+    places, variance = np.full(hand.values.shape, np.nan), np.ones(hand.values.shape)
+    for pair in features.synchrony if touches else ():
+        touch = touches[pair.touch]
+        during = free & (hand.t >= touch.onset) & (hand.t <= touch.offset) & (strongest == pair.weight)
+        free &= ~during
         if pair.weight > LEAST and during.any():
-            u, v, var = _place(body, touch.strongest)
-            var = var / pair.weight * (during.sum() if whole else 1)
+            u, v, spread = _place(body, touch.strongest)
+            places[during] = hand.values[during] - (u, v)
+            variance[during] = spread / pair.weight * (during.sum() if whole else 1)
             count += pair.weight > COUNTS
-            parts.append((hand.t[during], hand.values[during] - (u, v), var, hand.source_ns[during]))
-    if not parts:
-        return nothing
-    parts.sort(key=lambda part: float(part[0][0]))
-    t, values, variances, source_ns = zip(*parts, strict=True)
-    spread = np.concatenate([np.full_like(places, one) for places, one in zip(values, variances, strict=True)])
-    return np.concatenate(t), np.concatenate(values), spread, np.concatenate(source_ns), count
+    kept = rows_seen(places)
+    found = (hand.t[kept], places[kept], variance[kept], hand.source_ns[kept])
+    return Sighting("touch", body.senses["effector"], *found), count
 
 
 def _place(body: BodyModel, cell: int) -> tuple[float, float, float]:
@@ -78,9 +71,9 @@ def _place(body: BodyModel, cell: int) -> tuple[float, float, float]:
 
 def weights(features: Features, t: Array) -> Array:
     """Synchrony weight (K,) of the touch at each time t (K,) s, 0 without a touch."""
-    weight = np.zeros(len(t))
-    for pair in features.synchrony:
-        touch = (features.touches or ())[pair.touch]
+    weight, touches = np.zeros(len(t)), features.touches or ()
+    for pair in features.synchrony if touches else ():
+        touch = touches[pair.touch]
         during = (t >= touch.onset) & (t <= touch.offset)
         weight[during] = np.maximum(weight[during], pair.weight)
     return weight
