@@ -44,6 +44,15 @@ def test_rounding_leaves_variances_of_near_exact_encoders_positive(seed):
     assert found.settings["order"] == 3 and finite(found) is found
 
 
+@pytest.mark.parametrize("seed", [300, 304, 305])
+def test_encoder_noise_is_not_taken_for_the_motion_of_quick_reaches(white_acceleration, seed):
+    """White acceleration fits rest and reaches best as if there were hardly any noise."""
+    world = drawn(seed, Drawn("reach", noise=1e-3, encoder_hz=20.0))
+    found = estimate(world.features, world.body, Estimation(senses=("encoders",)))
+    np.testing.assert_allclose(np.sqrt(found.settings["encoder"]), 1e-3, rtol=0.3)
+    assert judged(world, found.joints, found.cov)[1] < 1.5
+
+
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
 def test_estimate_follows_a_joint_after_a_long_rest(method):
     world = drawn(0, Drawn("reach", 1e-4))

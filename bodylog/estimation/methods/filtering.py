@@ -155,7 +155,7 @@ def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution |
     encoders, precision = problem.evidence.encoders, problem.precision
     if settings.precision != "auto" or encoders is None:
         return problem, None
-    evident = encoder_noise.learn(encoders, precision.encoder, precision.process, precision.order).process
+    evident = encoder_noise.learn(encoders, precision.encoder, precision.process, precision.order, known=True).process
     held = typed.precision(precision.held(evident, encoders), settings, problem.evidence.joints)
     return tuned(replace(problem, precision=held), settings)
 

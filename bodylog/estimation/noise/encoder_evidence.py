@@ -38,24 +38,26 @@ class _Steps:
         return _Steps(*(part[:, joints] for part in (self.dt, self.known, self.counts, self.fresh)))
 
 
-def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -> tuple[Array, Array, Array]:
-    """Log evidence (R,M) per ratio process/noise (R,M), with the noise variance that maximises it given the ratio.
+def evidence(
+    dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2, known: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """Log evidence (R,M) per ratio process/noise (R,M), with the likeliest noise variance or a `known` (M,).
 
     Time steps dt (L,M,C) s · readings y (L,M,C) rad, NaN where absent · restarts `fresh` (L,M,C) bool. The first
     WARM readings of all stretches but the first do not count. Also the largest innovation (R,M) of which the next one
     reaches a quarter, on the same side, in standard deviations.
     """
-    known, count = np.isfinite(y), np.arange(len(y))[:, None, None]
+    read, count = np.isfinite(y), np.arange(len(y))[:, None, None]
     fresh = np.asarray(fresh | (count == 0))
-    counts = np.asarray(known & (count - np.maximum.accumulate(np.where(fresh, count, 0)) >= SKIP))
+    counts = np.asarray(read & (count - np.maximum.accumulate(np.where(fresh, count, 0)) >= SKIP))
     counts[:WARM, :, 1:] = False
-    steps = _Steps(dt, known, counts, fresh)
+    steps = _Steps(dt, read, counts, fresh)
     # readings with equal times and ratios have the same covariance, which is computed once
-    first, which = _same_covariance(dt, known, fresh, ratios)
+    first, which = _same_covariance(dt, read, fresh, ratios)
     gains = _gains(steps.of(first), np.ascontiguousarray(ratios[:, first].T), order)
     squares, logs, lag = (part.T for part in _sums(steps, y, gains, which, len(ratios), order))
     n = np.maximum(counts.sum(axis=(0, 2)), 1.0)
-    noise = np.maximum(squares / n, LEAST)
+    noise = np.maximum(squares / n if known is None else np.broadcast_to(known, squares.shape), LEAST)
     score = -0.5 * (n * np.log(noise) + squares / noise + logs)
     return np.where(np.isfinite(score), score, -np.inf), noise, lag / np.sqrt(noise)
 

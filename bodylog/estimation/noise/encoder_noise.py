@@ -43,31 +43,31 @@ class Learned:
     evidence: float
 
 
-def learn(encoders: Encoders, encoder: Array, process: Array, order: int = 2) -> Learned:
+def learn(encoders: Encoders, encoder: Array, process: Array, order: int = 2, known: bool = False) -> Learned:
     """Learn encoder variances and process densities by evidence; a joint with few readings keeps the given ones.
 
+    known: the encoder variances are kept, and process densities learned for them.
     Quantised readings are dithered over their step, whose variance is the least.
     """
     encoder, process, joints, nats = encoder.copy(), process.copy(), list[int](), 0.0
     series, coarse = list[tuple[Array, Array]](), list[list[float]]()
     for joint, column in enumerate(encoders.values.T):
-        known = np.flatnonzero(np.isfinite(column))
-        most = MOST * _fellows(encoders.t[known])
-        begin = max(0, (len(known) - most) // 2)
-        known = known[begin : begin + most]
-        if len(known) > FEWEST and np.ptp(column[known]) > 0.0:
+        rows = np.flatnonzero(np.isfinite(column))
+        most = MOST * _fellows(encoders.t[rows])
+        begin = max(0, (len(rows) - most) // 2)
+        rows = rows[begin : begin + most]
+        if len(rows) > FEWEST and np.ptp(column[rows]) > 0.0:
             joints.append(joint)
-            spread, *own = dithered(encoders.t[known], column[known])
-            series.append((encoders.t[known], spread))
+            spread, *own = dithered(encoders.t[rows], column[rows])
+            series.append((encoders.t[rows], spread))
             coarse.append(own)
-        elif len(known):
-            encoder[joint] *= shared_variance(encoders.t[known], column[known])
+        elif len(rows) and not known:
+            encoder[joint] *= shared_variance(encoders.t[rows], column[rows])
     if joints:
-        found, density, won = likeliest(series, order)
-        nats = float(won.sum())
         added, least = np.transpose(coarse)
+        found, process[joints], won = likeliest(series, order, encoder[joints] + added if known else None)
+        nats = float(won.sum())
         encoder[joints] = np.maximum(found - added, least)
-        process[joints] = density
     return Learned(order, encoder, process, nats)
 
 
@@ -93,15 +93,17 @@ def floor(t: Array, encoder: Array, order: int) -> Array:
     return np.asarray(encoder * step / MEMORY ** (2 * order))
 
 
-def likeliest(series: list[tuple[Array, Array]], order: int = 2) -> tuple[Array, Array, Array]:
-    """Noise variances and densities (M,) that maximise the evidence (M,) of each joint's times and readings."""
+def likeliest(
+    series: list[tuple[Array, Array]], order: int = 2, known: Array | None = None
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Noise variances, unless `known`, and densities (M,) of most evidence (M,) of each joint's times and readings."""
     fellows = np.array([_fellows(t) for t, _ in series])
     means = [_averaged(t, y, k) for (t, y), k in zip(series, fellows, strict=True)]
     folded = _side_by_side(means)
     step = np.array([median_step(t) for t, *_ in means])
     # process / noise variance, scaled so that 1 is balanced per reading
     ratios = np.geomspace(*RANGE[order], TRIED)[:, None] / step ** (2 * order - 1)
-    score, noise, lag = evidence(*folded, ratios, order)
+    score, noise, lag = evidence(*folded, ratios, order, None if known is None else known / fellows)
     nats = np.asarray(score.max(axis=0))
     ratio, variance = _peak(ratios, score, noise)
     if (lag[score.argmax(axis=0), np.arange(len(series))] > GATE).any():

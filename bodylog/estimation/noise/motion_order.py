@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...types import Hypothesis
-from .encoder_noise import FEWEST, learn
+from .encoder_noise import FEWEST
 
 if TYPE_CHECKING:
     from ..inference.problem import Problem
@@ -20,11 +20,11 @@ def with_preferred_order(problem: "Problem") -> "Problem":
 
     Encoders that are silent for long keep white acceleration: a jerk's variance grows with the fifth power of time.
     """
-    encoders, precision, white = problem.evidence.encoders, problem.precision, problem.precision.white
+    encoders, precision, learned = problem.evidence.encoders, problem.precision, problem.precision.learned
     silent = problem.path is not None or problem.resets is not None or problem.posture_prior is not None
-    if encoders is None or white is None or silent or (np.isfinite(encoders.values).sum(axis=0) <= FEWEST).any():
+    if encoders is None or learned is None or silent or (np.isfinite(encoders.values).sum(axis=0) <= FEWEST).any():
         return problem
-    jerk = learn(encoders, white.encoder, np.zeros(len(white.encoder)), 3)
+    white, jerk = learned
     nats = jerk.evidence - white.evidence
     chosen = bool(nats > EVEN)
     order = Hypothesis("white jerk", "joints", nats, EVEN, chosen)

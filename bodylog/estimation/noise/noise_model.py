@@ -24,7 +24,7 @@ class NoiseModel:
     order 2: white acceleration, process in rad²/s³; 3: white jerk, rad²/s⁵ · near {sighting: px} correlation length of
     its errors; other sightings have white errors · stated: share of the covariance that is stated, () or (M,) · fewer
     {tracks in view: process (M,)} where these are not all · likeliest: process (M,) of a filter, where a smoother's
-    differs · evident: process (M,) before `held` · white: what was learned for white acceleration.
+    differs · evident: process (M,) before `held` · learned: from encoders, for white acceleration and white jerk.
     """
 
     encoder: Array
@@ -36,7 +36,7 @@ class NoiseModel:
     fewer: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
     likeliest: Array | None = None
     evident: Array | None = None
-    white: Learned | None = None
+    learned: tuple[Learned, Learned] | None = None
     order: int = 2
 
     def plain(self) -> dict[str, Any]:
@@ -81,9 +81,11 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseM
     near = {s.name: NEAR for s in evidence.sightings if s.name != "touch" and s.cov is None}
     if evidence.encoders is None:
         return NoiseModel(encoder, process, None, scale, near)
-    found = encoder_noise.learn(evidence.encoders, encoder, process)
-    held = NoiseModel(found.encoder, process, None, scale, near).held(found.process, evidence.encoders)
-    return replace(held, white=found)
+    # white acceleration may take noise for motion where an arm rests and moves by turns, white jerk does not
+    jerk = encoder_noise.learn(evidence.encoders, encoder, process, 3)
+    white = encoder_noise.learn(evidence.encoders, jerk.encoder, process, 2, known=True)
+    held = NoiseModel(white.encoder, process, None, scale, near).held(white.process, evidence.encoders)
+    return replace(held, learned=(white, jerk))
 
 
 def weighed(evidence: Evidence, precision: NoiseModel, settings: Estimation) -> Evidence:
