@@ -77,6 +77,14 @@ def test_moved_camera_is_absent_in_logs_without_one(moves, seed):
         assert not cameras(features, world.body)
 
 
+@pytest.mark.parametrize(("seed", "joint"), [(101, "elbow"), (103, "pan"), (109, "pan")])
+def test_drifting_encoder_is_not_three_moves_of_the_camera(world, seed, joint):
+    sound = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
+    joints = sound.features.joints
+    off = np.outer(np.clip(0.02 * (joints.t - 8.0), 0.0, None), np.array(joints.names) == joint)
+    assert not cameras(replace(sound.features, joints=replace(joints, values=joints.values + off)), sound.body)
+
+
 @pytest.mark.parametrize("seed", seeds(2, 10))
 def test_encoders_that_are_wrong_at_first_move_no_camera(seed):
     world = drawn(500 + seed, Drawn("rest", noise=0.02))

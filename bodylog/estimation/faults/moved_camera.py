@@ -3,7 +3,7 @@
 Means of encoder readings predict positions. The residuals r (R,) px of a track's curve are normal with covariance C:
 noise, model error (correlated by posture), and wandering offsets of all encoders. A displacement Δ ~ N(0, σ²I) from the
 k-th mean on, with all k equally likely, adds ½ bᵀA⁻¹b − ½ ln|σ²A| to ln p(r), where A = SᵀC⁻¹S + I/σ² and b = SᵀC⁻¹r.
-It must win against no displacement, encoders that all wander, one that steps, and encoders that are wrong at first.
+It must win against no displacement, encoders that wander, one that wanders far or steps, and all wrong at first.
 """
 
 from collections.abc import Iterator, Sequence
@@ -153,7 +153,7 @@ def _residuals(rows: _Rows, moves: list[Displacement]) -> Array:
 
 
 def _gain_over_encoders(rows: _Rows, cov: Array, moves: list[Displacement]) -> float:
-    """Nats won against the best alternative: all encoders wander, one steps, or all err at first.
+    """Nats won against the best alternative: encoders wander, one wanders far, steps, or all err at first.
 
     Negative where residuals exceed the noise: the model is not linear over a large offset. A step of one encoder is as
     simple as one displacement, so it is compared with the first displacement alone.
@@ -163,12 +163,14 @@ def _gain_over_encoders(rows: _Rows, cov: Array, moves: list[Displacement]) -> f
     # the mean square is 1 where all noise is as stated
     if (poor := 4.0 * len(white) - np.square(white).sum()) < 0.0:
         return 0.5 * float(poor)
-    wander = np.linalg.cholesky(cov + _offset_covariance(rows, max(WALKS)))
+    offsets = [_offset_covariance(rows, rows.jac, OFFSET_STD, walk) for walk in (WALKS[0], WALKS[2])]
+    offsets += [_offset_covariance(rows, rows.jac[:, joint, None], FAR, WALKS[2]) for joint in joints]
     # each given those before it: given those after it, too, displacements that cancel win twice
     won = [_best_displacement(rows, chol, moves[:k]).nats for k in range(len(moves))]
     steps = min(_best_step(rows, chol, rows.jac[:, joint, None], FAR).nats for joint in joints)
     settled = _best_step(rows, chol, rows.jac, FAR, until=True).nats
-    return min(steps - none + won[0], min(settled, _cost(rows.r, wander)) - none + sum(won))
+    others = min(settled, *(_cost(rows.r, np.linalg.cholesky(cov + one)) for one in offsets))
+    return min(steps - none + won[0], others - none + sum(won))
 
 
 def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
@@ -190,7 +192,7 @@ def _covariance(rows: _Rows) -> Array:
     # rows of one time share the same means of encoder readings
     cov = (rows.t[:, None] == rows.t) * ((rows.jac * rows.encoder) @ rows.jac.T)
     cov += LATE**2 * np.outer(rows.speed, rows.speed)
-    cov += _offset_covariance(rows, min(WALKS))
+    cov += _offset_covariance(rows, rows.jac, OFFSET_STD, WALKS[-1])
     model = np.sqrt(rows.model)
     for own in rows.alike():
         apart = sum(np.square(np.subtract.outer(x, x)) for x in rows.x[own].T)
@@ -199,10 +201,10 @@ def _covariance(rows: _Rows) -> Array:
     return np.asarray(cov)
 
 
-def _offset_covariance(rows: _Rows, walk: float) -> Array:
-    """Covariance (R,R) px² added by offsets of all encoders that wander by `walk` (rad²/s)."""
+def _offset_covariance(rows: _Rows, lean: Array, std: float, walk: float) -> Array:
+    """Covariance (R,R) px² added by encoders' offsets of `std` rad that wander by `walk` rad²/s; lean (R,J) px/rad."""
     since = rows.t - rows.t.min()
-    return np.asarray((rows.jac @ rows.jac.T) * (OFFSET_STD**2 + walk * np.minimum.outer(since, since)))
+    return np.asarray((lean @ lean.T) * (std**2 + walk * np.minimum.outer(since, since)))
 
 
 def _best_step(rows: _Rows, chol: Array, basis: Array, wide: float, until: bool = False) -> Displacement:
