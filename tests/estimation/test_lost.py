@@ -98,7 +98,7 @@ def test_error_bars_hold_while_no_encoder_speaks(world, method):
 def test_error_bars_hold_while_encoders_are_silent(world, silence):
     rmse, nees, within = np.transpose([silent(world, seed, silence, "laplace") for seed in range(20)])
     # one posture in twenty passes for another for a while
-    assert np.sqrt(np.mean(rmse**2)) < 0.05 * silence and 0.2 < np.median(nees) < 1.2 and np.mean(within) > 0.9
+    assert np.sqrt(np.mean(rmse**2)) < 0.06 * silence and 0.2 < np.median(nees) < 1.2 and np.mean(within) > 0.9
 
 
 @pytest.mark.parametrize("solve", [gauss_newton.solve, smoother.solve])

@@ -109,12 +109,14 @@ def test_estimator_equals_the_batch_filter(world, seed, bias):
 @pytest.mark.parametrize("names", [["pan", "lift", "elbow"], ["pan", "lift"]])
 @pytest.mark.parametrize("seed", seeds(1, 3))
 def test_estimator_recovers_a_lost_belief_as_the_batch(world, seed, names):
-    drawn = world(seed, duration=10.0, blunder=0.02)
-    joints = drawn.features.joints
-    gone = np.outer((joints.t >= 3.0) & (joints.t < 8.0), np.isin(joints.names, names))
+    drawn, end = world(seed, duration=10.0, blunder=0.02), 4.0 if len(names) == 3 else 8.0
+    joints, track = drawn.features.joints, drawn.features.tracks["effector"]
+    gone = np.outer((joints.t >= 3.0) & (joints.t < end), np.isin(joints.names, names))
     keep, values = ~gone.all(axis=1), np.where(gone, np.nan, joints.values)
     joints = replace(joints, t=joints.t[keep], values=values[keep], source_ns=joints.source_ns[keep])
-    features = replace(drawn.features, joints=joints)
+    elsewhere = ((track.t >= 3.0) & (track.t < end) & (len(names) == 3))[:, None]
+    tracks = {"effector": replace(track, values=np.where(elsewhere, [250.0, 60.0], track.values))}
+    features = replace(drawn.features, joints=joints, tracks=tracks)
     check(features, drawn.body)
     beliefs = step(Estimator(drawn.body), messages_of(features, drawn.body))
     batch = estimate(features, drawn.body, MODEL)

@@ -37,9 +37,18 @@ def adjoints(readings: Readings, trace: Trace, end: Array, order: int) -> tuple[
         if isinstance(readings, KnotReadings):
             assert trace.left is not None
             _undo_pooled(readings.pooled, i, adjoint, trace.left[i])
+        elif readings.moves is not None:
+            _undo_move(readings.moves[0][i], adjoint[:, None])
         else:
             carry_back(adjoint[: order * m].reshape(order, m, -1), readings.dt[i])
     return after, adjoint
+
+
+def _undo_move(move: Array, adjoints: Array) -> None:
+    """Carry adjoints (K,…,C) back, in place, over the move (S,S,M,C) of each joint's states."""
+    states, _, m, c = move.shape
+    parts = adjoints.reshape(states, m, -1, c)
+    adjoints[:] = np.einsum("abjc,aj...c->bj...c", move, parts).reshape(adjoints.shape)
 
 
 def _kept(reset: Array, states: int, order: int) -> Array:
@@ -91,8 +100,12 @@ def covariances(readings: Readings, trace: Trace, order: int) -> Array:
             keep = _kept(readings.reset[i], k, order)
             known *= keep[:, None]
             known[:, :k] *= keep
-        carry_back(known[: order * m].reshape(order, m, 2 * k, c), dt)
-        carry_back([known[:, state * m : state * m + m] for state in range(order)], dt)
+        if readings.moves is not None:
+            _undo_move(readings.moves[0][i], known)
+            _undo_move(readings.moves[0][i], known[:, :k].swapaxes(0, 1))
+        else:
+            carry_back(known[: order * m].reshape(order, m, 2 * k, c), dt)
+            carry_back([known[:, state * m : state * m + m] for state in range(order)], dt)
         if i % EVEN[order] == 0:
             known[:, :k] = 0.5 * (known[:, :k] + known[:, :k].transpose(1, 0, 2))
     ends = _ends(known)

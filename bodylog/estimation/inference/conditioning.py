@@ -122,7 +122,7 @@ def condition_pooled(
     np.negative(projected[:, -1], out=back.nus)
     if left is not None:
         left[:] = belief
-    _move(pooled.move[i], pooled.shift[i], pooled.noise[i], belief)
+    advance(pooled.move[i], pooled.shift[i], pooled.noise[i], belief)
 
 
 def _condition(belief: Array, ph: Array, back: AdjointRecord, row: int) -> None:
@@ -131,7 +131,7 @@ def _condition(belief: Array, ph: Array, back: AdjointRecord, row: int) -> None:
     belief -= gain[:, None] * ph
 
 
-def _move(move: Array, shift: Array, noise: Array, belief: Array) -> None:
+def advance(move: Array, shift: Array, noise: Array, belief: Array) -> None:
     """Move the belief in place by move (S,S,M,C) and shift (S,M,C) of each joint's states."""
     states, m, c = shift.shape
     k = states * m

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from ...types import Array
+from .stationary import Stationary
 
 PAIRS = {2: ((0, 1),), 3: ((0, 1), (0, 2), (1, 2))}
 """Pairs of a derivative of the angle and a higher one, by the motion's order."""
@@ -13,13 +14,15 @@ class Dynamics:
     """White acceleration (M,) rad²/s³, or jerk rad²/s⁵ · random walk (M,) rad²/s of offsets, or None; or (M,C).
 
     is_prior (M,) bool: joints whose readings come from the posture prior; they do not count as evidence · order: 2 for
-    white acceleration, 3 for white jerk. A state holds all joints' angles, rates[, accelerations][, encoder offsets].
+    white acceleration, 3 for white jerk · stationary: motion of joints whose encoders are silent for long, or None. A
+    state holds all joints' angles, rates[, accelerations][, encoder offsets].
     """
 
     process: Array
     drift: Array | None = None
     is_prior: Array | None = None
     order: int = 2
+    stationary: Stationary | None = None
 
     @property
     def size(self) -> int:
@@ -57,6 +60,7 @@ class Readings:
     A track's row r reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where unseen.
     reset (L,M,C) bool: joints that restart from a wide prior at an instant, or None.
     more (L,M,C): factor on the process variance before an instant, or None for 1.
+    moves: move (L,S,S,M,C), shift (L,S,M,C), noise (L,S,S,M,C) of the states before an instant, if not by dt alone.
     """
 
     dt: Array
@@ -67,6 +71,7 @@ class Readings:
     var: Array
     reset: Array | None = field(default=None, kw_only=True)
     more: Array | None = field(default=None, kw_only=True)
+    moves: tuple[Array, Array, Array] | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,16 @@ RESTING = 1e-9
 """rad: tolerance on the linearisation point; the belief moves by a tenth of it."""
 
 
+NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
+WEIGHTS /= WEIGHTS.sum()
+LASTING = 10.0
+"""Factor on the time for which the residual of a line lasts, by the belief.
+
+Of 1, 3.3, 10 and 33 on 26 drawn silences of 5 s, filters have NEES 7.5, 3.4, 1.6, 1.6 and errors of 0.20, 0.18, 0.18,
+0.19 rad.
+"""
+
+
 @dataclass(frozen=True, eq=False)
 class StepResult:
     """After an instant: state z (K,), p (K,K) · nats · linearisation point (M,) · what each track remembers.
@@ -146,23 +156,36 @@ def _rested(
 def _statistical_linearisation(
     m: int, prior: tuple[Array, Array], given: tuple[Array, Array], sights: Sequence[PendingFrame]
 ) -> tuple[Lines, tuple[Array, ...]]:
-    """Lines through x ± √M σ along each axis of the encoders' posterior `given`; errors by the prior's tangents.
+    """Lines of least squared residual over the encoders' posterior `given`; errors by the prior's tangents.
 
-    The residual of the line is added as noise: the tangent of a wide belief claims too much. Rows are rotated such that
-    their noise is independent.
+    The residual is added as noise: the tangent of a wide belief claims too much. It is a function of the belief's
+    error, which lasts: with a Gaussian correlation over √(variance of the angle / of the rate), it counts √π of that,
+    over the time between frames, as often; LASTING times more, as a wrong belief takes itself for a short one.
     """
     errors = tuple(_innovation(sight, prior[0][:m], prior[1][:m, :m])[1] for sight in sights)
     x, (var, axes) = given[0][:m], np.linalg.eigh(given[1][:m, :m])
-    steps, tracks = np.sqrt(m * np.maximum(var, np.finfo(float).tiny))[:, None] * axes.T, []
-    for sight in sights:
-        *_, own, memory = sight.at(x)
-        there, back = np.split(sight.predict(np.concatenate([x + steps, x - steps]))[0], 2)
-        middle, slope = 0.5 * (there + back), np.linalg.solve(steps, 0.5 * (there - back)).T
-        missed = middle - middle.mean(axis=0)
-        spread, turn = np.linalg.eigh(missed.T @ missed / m + np.diag(own))
-        y = turn.T @ (sight.value - middle.mean(axis=0) + slope @ x)
-        tracks.append(Line(y, turn.T @ slope, spread, memory))
-    return Lines(x, tuple(tracks)), errors
+    lasts = LASTING * math.sqrt(math.pi * var[-1] / (axes[:, -1] @ given[1][m : 2 * m, m : 2 * m] @ axes[:, -1]))
+    steps = np.sqrt(np.maximum(var, np.finfo(float).tiny))[:, None] * axes.T
+    often = [1.0 / math.tanh((sight.t - sight.memory.t) / lasts) for sight in sights]
+    drawn = (_line_of_belief(sight, x, steps, one) for sight, one in zip(sights, often, strict=True))
+    return Lines(x, tuple(drawn)), errors
+
+
+def _line_of_belief(sight: PendingFrame, x: Array, steps: Array, often: float) -> Line:
+    """A track's line over a belief x (M,) with one standard deviation along each axis in `steps` (M,M).
+
+    The residual along each axis, by Gauss–Hermite quadrature, counts as `often`. Rows are rotated such that their noise
+    is independent.
+    """
+    *_, own, memory = sight.at(x)
+    points = x + NODES[:, None, None] * steps
+    g = sight.predict(points.reshape(-1, len(x)))[0].reshape(len(NODES), len(x), -1)
+    means, slopes = (np.einsum("k,kad->ad", weights, g) for weights in (WEIGHTS, WEIGHTS * NODES))
+    missed = np.sqrt(WEIGHTS)[:, None, None] * (g - means - NODES[:, None, None] * slopes)
+    slope, middle = np.linalg.solve(steps, slopes).T, g[len(NODES) // 2, 0]
+    middle = middle + (means - middle).sum(axis=0)
+    spread, turn = np.linalg.eigh(often * np.einsum("kad,kae->de", missed, missed) + np.diag(own))
+    return Line(turn.T @ (sight.value - middle + slope @ x), turn.T @ slope, spread, memory)
 
 
 def _line(sight: PendingFrame, x: Array) -> Line:

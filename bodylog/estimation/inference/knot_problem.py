@@ -9,7 +9,7 @@ from ...types import Array
 from ..measurements.timeline import Timeline
 from .filter_records import Dynamics, KnotReadings, Pooled, Readings
 from .folds import Fold, fold_for
-from .pooling import Blocks, blocks, kept, outlier_candidates, pooled
+from .pooling import Blocks, blocks, kept, moves, outlier_candidates, pooled
 
 if TYPE_CHECKING:
     from .problem import Problem
@@ -31,7 +31,7 @@ class KnotProblem:
 
     def pooled(self, dynamics: Dynamics) -> Pooled:
         """Readings between knots, pooled and folded."""
-        return pooled(self.blocks, dynamics, self.fold, self.problem.more)
+        return pooled(self.blocks, dynamics, self.fold, self.problem.more, self.problem.held)
 
     def of(self, problem: "Problem") -> "KnotProblem":
         """The same log with another process or other pixel variances."""
@@ -59,21 +59,29 @@ def knot_problem(problem: "Problem", gated: Array | None = None) -> KnotProblem:
     alone[np.concatenate([*line.sightings, np.empty(0, int)])] = True
     alone[problem.resets_at(line.t)[0]] = True
     wanted = alone.copy()
+    if (held := problem.held) is not None:
+        alone |= held.any(axis=1)
+        wanted = alone | np.append(alone[1:], False)
     wanted[fold_for(len(line.t)).lasts()] = True
     events = kept(wanted)
     sightings, none = tuple(np.searchsorted(events, frames) for frames in line.sightings), np.empty(0, int)
     few = replace(problem, timeline=Timeline(line.t[events], none, sightings, none, none))
     between, fold = blocks(line.t, values, var, events, alone), fold_for(len(events))
     rest = folded_readings(few, fold, np.where(alone[:, None], values, np.nan)[events], var[events])
-    found = pooled(between, few.dynamics, fold, few.more)
+    found = pooled(between, few.dynamics, fold, few.more, few.held)
     leaps = KnotReadings(*rest, pooled=found, reset=forgotten(few, fold))
     return KnotProblem(few, events, between, leaps)
 
 
-def full(problem: "Problem", fold: Fold) -> Readings:
-    """Readings of all instants, folded, without the frames' tangents."""
-    more = None if problem.more is None else fold.fold(problem.more, 1.0)
-    return Readings(*folded_readings(problem, fold, *encoder_rows(problem)), reset=forgotten(problem, fold), more=more)
+def full(problem: "Problem", fold: Fold, held: Array | None = None) -> Readings:
+    """Readings of all instants, folded, without the frames' tangents; held (E,M) bool: joints silent for long."""
+    more, held = None if problem.more is None else fold.fold(problem.more, 1.0), problem.held if held is None else held
+    found = Readings(*folded_readings(problem, fold, *encoder_rows(problem)), reset=forgotten(problem, fold), more=more)
+    if held is None or not held.any():
+        return found
+    dt = np.diff(problem.timeline.t, prepend=problem.timeline.t[0])
+    move, shift, noise = (fold.fold(part, part[0]) for part in moves(problem.dynamics, dt, held))
+    return replace(found, moves=(move, shift, noise))
 
 
 def forgotten(problem: "Problem", fold: Fold) -> Array | None:

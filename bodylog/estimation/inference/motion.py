@@ -1,6 +1,5 @@
 """Motion whose highest derivative is white noise, exactly discretised, for states of any shape."""
 
-import copy
 from math import factorial
 
 import numpy as np
@@ -65,9 +64,15 @@ class Motion:
         for lag in range(1, order):
             self._shifts.append(np.eye(k, k, lag * m) / factorial(lag))
             self._shifts[-1][(order - lag) * m :] = 0.0
+        self._stationary = dynamics.stationary
 
-    def move(self, z: Array, p: Array, dt: float, more: Array | None = None) -> tuple[Array, Array]:
-        """z (K,) and p (K,K) after dt (s), with `more` (M,) times the process variance."""
+    def move(
+        self, z: Array, p: Array, dt: float, more: Array | None = None, held: Array | None = None
+    ) -> tuple[Array, Array]:
+        """z (K,) and p (K,K) after dt (s), with `more` (M,) times the process variance.
+
+        held (M,) bool: joints that keep to their stationary motion.
+        """
         f, spread, power = self._shifts[0], np.zeros_like(p), 1.0
         for shift in self._shifts[1:]:
             power *= dt
@@ -76,11 +81,10 @@ class Motion:
             spread = dt * (one + spread)
         if more is not None:
             spread[: self.order * self.joints] *= np.tile(more, self.order)[:, None]
+        kept = np.zeros(len(z))
+        if held is not None and held.any() and self._stationary is not None:
+            f, own = f.copy(), np.arange(self.order * self.joints).reshape(self.order, self.joints)[:, held]
+            move, shift, noise = (part[..., held, 0] for part in self._stationary.step(np.array([dt])))
+            f[own[:, None], own], kept[own], spread[own[:, None], own] = move, shift, noise
         p = f @ p @ f.T + spread
-        return f @ z, 0.5 * (p + p.T)
-
-    def recalling(self, joints: Array) -> "Motion":
-        """The same motion, where readings of these joints (M,) bool come from the posture prior."""
-        other = copy.copy(self)
-        other.is_prior = joints if self.is_prior is None else self.is_prior | joints
-        return other
+        return f @ z + kept, 0.5 * (p + p.T)

@@ -64,10 +64,13 @@ def blocks(t: Array, y: Array, var: Array, kept: Array, alone: Array) -> Blocks:
     return Blocks(np.diff(np.maximum.accumulate(times, axis=0), axis=0), present, noise)
 
 
-def pooled(between: Blocks, dynamics: Dynamics, fold: Fold, more: Array | None = None) -> Pooled:
+def pooled(
+    between: Blocks, dynamics: Dynamics, fold: Fold, more: Array | None = None, held: Array | None = None
+) -> Pooled:
     """The blocks as inputs of a scan; process variances (M,), or (M,G) of candidates side by side.
 
-    `more` (B,M): factor on the process variance in each block, if given.
+    `more` (B,M): factor on the process variance in each block, if given · held (B,M) bool: joints that keep to their
+    stationary motion, in blocks without readings.
     """
     m = len(dynamics.process)
     levels, which = _levels(dynamics.process.reshape(m, -1))
@@ -80,6 +83,8 @@ def pooled(between: Blocks, dynamics: Dynamics, fold: Fold, more: Array | None =
         _carry(move, shift, noise, dt, process, dynamics)
         _condition(move, shift, noise, information, nats, y.T[:, None], var.T[:, None])
     _carry(move, shift, noise, between.dt[-1], process, dynamics)
+    if held is not None:
+        _hold((move, shift, noise), between.dt[-1], dynamics, held)
     y, var, lean, left = _as_readings(information)
     counted = 1.0 if dynamics.is_prior is None else ~dynamics.is_prior[:, None, None]
 
@@ -109,6 +114,27 @@ def _carry(move: Array, shift: Array, noise: Array, dt: Array, process: Array, d
     grow(noise, order, process, dt)
     if dynamics.drift is not None:
         noise[order, order] += dynamics.drift.reshape(len(dynamics.drift), -1, 1) * dt
+
+
+def _hold(parts: tuple[Array, Array, Array], dt: Array, dynamics: Dynamics, held: Array) -> None:
+    """Let joints held (B,M) bool move by dt (B,) as a stationary process instead, in place; parts (…,M,G,B)."""
+    assert dynamics.stationary is not None
+    some, order = np.flatnonzero(held.any(axis=1)), dynamics.order
+    for whole, step in zip(parts, dynamics.stationary.step(dt[some]), strict=True):
+        own = whole[:order] if step.ndim == 3 else whole[:order, :order]
+        own[..., some] = np.where(held[some].T[:, None], step[..., None, :], own[..., some])
+
+
+def moves(dynamics: Dynamics, dt: Array, held: Array) -> tuple[Array, Array, Array]:
+    """Move (E,S,S,M), shift (E,S,M), noise (E,S,S,M) within dt (E,) s; of joints held (E,M) as a stationary process."""
+    states, process = dynamics.size // len(dynamics.process), dynamics.process[:, None]
+    move, noise = np.zeros((2, states, states, *process.shape, len(dt)))
+    shift = np.zeros(move.shape[1:])
+    np.einsum("ss...->s...", move)[:] = 1.0
+    _carry(move, shift, noise, dt, process[..., None], dynamics)
+    _hold((move, shift, noise), dt, dynamics, held)
+    move, shift, noise = (np.moveaxis(part[..., 0, :], -1, 0) for part in (move, shift, noise))
+    return move, shift, noise
 
 
 def _condition(

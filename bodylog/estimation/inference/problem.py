@@ -12,6 +12,8 @@ from ..noise.noise_model import NoiseModel
 from ..noise.posture_prior import PosturePrior
 from ..noise.visibility import views
 from .filter_records import Dynamics
+from .reacquisition import silent
+from .stationary import Stationary
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +23,8 @@ class Problem:
     path: times (E,) s and angles (E,M) rad to linearise along first, if encoders do not give them · posture_prior: of
     joints without an encoder · resets: times (R,) s at which joints (R,M) bool restart from a wide prior · stepwise:
     images alone determine the arm for long, where sweeps may converge to another posture · alternatives: joints with
-    an offset that explains nearly as much.
+    an offset that explains nearly as much · stationary: motion of joints whose encoders are silent for long, if
+    one ever is.
     """
 
     evidence: Evidence
@@ -33,6 +36,7 @@ class Problem:
     resets: tuple[Array, Array] | None = None
     stepwise: bool = False
     alternatives: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+    stationary: Stationary | None = None
 
     def resets_at(self, t: Array) -> tuple[Array, Array]:
         """Indices of resets among the instants t (E,) s, and their joints (R,M) bool."""
@@ -46,7 +50,15 @@ class Problem:
     def dynamics(self) -> Dynamics:
         """The dynamics of the state."""
         is_prior = None if self.posture_prior is None else self.posture_prior.joints
-        return Dynamics(self.precision.process, self.precision.drift, is_prior, self.precision.order)
+        return Dynamics(self.precision.process, self.precision.drift, is_prior, self.precision.order, self.stationary)
+
+    @property
+    def held(self) -> Array | None:
+        """Joints (E,M) bool whose encoders have been silent for long at each instant; None if none ever is."""
+        encoders, t = self.evidence.encoders, self.timeline.t
+        if self.stationary is None or encoders is None:
+            return None
+        return silent(t, encoders)
 
     @property
     def more(self) -> Array | None:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ...types import Array, Finding
+from ..measurements.records import Encoders
 from ..noise.correlated_noise import LastFrame, PendingFrame
-from ..noise.posture_prior import PosturePrior
 from .motion import carry
 
 START_STD = (1.0, 1.0, 3.0)
@@ -31,38 +31,28 @@ APART = 3.0
 
 @dataclass(frozen=True, eq=False)
 class AcquisitionState:
-    """When each encoder confirmed the belief last, (M,) s, −∞ for never, and the last frame of each track.
-
-    loose (M,) bool: joints adrift at the last image and not confirmed since.
-    """
+    """When each encoder confirmed the belief last, (M,) s, −∞ for never, and the last frame of each track."""
 
     borne: Array
     seen: Mapping[Any, PendingFrame]
-    loose: Array
 
     @staticmethod
     def initial(joints: int) -> "AcquisitionState":
         """Before the first instant."""
-        return AcquisitionState(np.full(joints, -np.inf), {}, np.zeros(joints, bool))
+        return AcquisitionState(np.full(joints, -np.inf), {})
 
     def mute(self, t: float) -> Array:
         """Joints (M,) bool whose encoders have not confirmed the belief for SILENCE before t (s)."""
         return np.asarray(t - self.borne > SILENCE)
 
-    def adrift(self, t: float) -> Array:
-        """Silent joints (M,) bool at t (s) that images, with no more numbers than these joints, hardly determine."""
-        silent = self.mute(t) & np.isfinite(self.borne)
-        numbers = sum(len(sight.value) for sight in self.seen.values() if t - sight.t <= SILENCE)
-        return np.asarray(silent & (0 < numbers <= silent.sum()))
+    def held(self, t: float) -> Array:
+        """Joints (M,) bool that have been silent for long at t (s), after they had been read."""
+        return np.asarray(self.mute(t) & np.isfinite(self.borne))
 
-    def add_prior(
-        self, t: float, adrift_prior: PosturePrior | None, readings: Array, var: Array
-    ) -> tuple[Array, Array, Array]:
-        """Readings (M,) rad, NaN if silent, and variances with the prior for joints adrift at t (s); which joints."""
-        if adrift_prior is None:
-            return readings, var, np.zeros(len(readings), bool)
-        last = np.maximum(self.borne, max((sight.t for sight in self.seen.values()), default=-np.inf))
-        return adrift_prior.add_prior(readings, var, self.adrift(t), t - last)
+    def adrift(self, t: float) -> bool:
+        """Whether images, with no more numbers than joints are silent at t (s), hardly determine these."""
+        numbers = sum(len(sight.value) for sight in self.seen.values() if t - sight.t <= SILENCE)
+        return 0 < numbers <= int(self.held(t).sum())
 
     def with_last_frame(self, track: Any, sight: PendingFrame) -> PendingFrame:
         """A frame with its track's last one."""
@@ -73,8 +63,7 @@ class AcquisitionState:
     ) -> "AcquisitionState":
         """The state after encoders confirmed the belief at t (s), (M,) bool, and frames left memories."""
         seen = {track: replace(sight, memory=left) for (track, sight), left in zip(here.items(), memories, strict=True)}
-        loose = (self.adrift(t) if seen else self.loose) & ~borne
-        return AcquisitionState(np.where(borne, t, self.borne), {**self.seen, **seen} if seen else self.seen, loose)
+        return AcquisitionState(np.where(borne, t, self.borne), {**self.seen, **seen} if seen else self.seen)
 
     def judge(
         self, t: float, z: Array, p: Array, readings: Array, var: Array, seen: bool, order: int = 2
@@ -105,6 +94,15 @@ class AcquisitionState:
         x, cov = x + gain @ (readings[present] - h @ x), cov - gain @ h @ cov
         lost = all(_agree(x, cov, m, t - sight.t, sight, order) for sight in self.seen.values())
         return mute if lost else None, present & ~mute
+
+
+def silent(t: Array, encoders: Encoders) -> Array:
+    """Joints (E,M) bool whose encoders, read before, have been silent for long at times t (E,) s."""
+    found = np.zeros((len(t), encoders.values.shape[1]), bool)
+    for joint, column in enumerate(encoders.values.T):
+        known = np.concatenate([[np.inf], encoders.t[np.isfinite(column)]])
+        found[:, joint] = t - known[np.searchsorted(known[1:], t)] > SILENCE
+    return found
 
 
 def named(names: tuple[str, ...], t: Array, reset: Array) -> Iterator[Finding]:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ...types import Array
-from .conditioning import MANY, AdjointRecord, Rows, condition_pooled, update
+from .conditioning import MANY, AdjointRecord, Rows, advance, condition_pooled, update
 from .filter_records import Dynamics, KnotReadings, Pooled, Readings
 from .motion import carry, grow
 from .reacquisition import forget
@@ -64,6 +64,9 @@ def scan(
         if isinstance(readings, KnotReadings):
             left = None if trace.left is None else trace.left[i]
             condition_pooled(readings.pooled, i, belief, leaps.at(i), left, offset)
+        elif readings.moves is not None:
+            move, shift, noise = (part[i] for part in readings.moves)
+            advance(move, shift, noise, belief)
         else:
             propagate(readings.dt[i], None if readings.more is None else readings.more[i])
         if i in reset:

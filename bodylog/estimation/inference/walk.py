@@ -8,7 +8,7 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import PAST, WHOLE, ErrorCorrelation, LastFrame, PendingFrame, reach
-from ..noise.posture_prior import LASTING, adrift_prior
+from ..noise.posture_prior import stationary
 from .filter_records import Readings
 from .folds import Fold, fold_for
 from .initial_path import prior, priors
@@ -29,11 +29,9 @@ FIRST = 4
 
 @dataclass(frozen=True, eq=False)
 class Adrift:
-    """Measurements `at` an instant with joints adrift: readings (M,) rad and var with the prior, tracks, result."""
+    """Measurements `at` an instant with joints adrift: tracks, result."""
 
     at: int
-    readings: Array
-    var: Array
     tracks: tuple[int, ...]
     result: StepResult
 
@@ -42,8 +40,9 @@ class Adrift:
 class Walked:
     """The filtered log: points (E,M) rad of linearisation, starts z (K,C), p (K,K,C) of a fold's stretches.
 
-    resets: times (R,) s of resets and their joints (R,M), or None · watch: the last state · more (E,M): factor on the
-    process variance · adrift: instants where images hardly determined some joints.
+    resets: times (R,) s of resets and their joints (R,M), or None · watch: the last state · held (E,M) bool: joints
+    silent for long · adrift: instants where images hardly determined some joints · moments (O,M): mean squares of the
+    angles, from their usual mean, and of their derivatives, where encoders were read.
     """
 
     points: Array
@@ -51,8 +50,9 @@ class Walked:
     p: Array
     resets: tuple[Array, Array] | None
     watch: AcquisitionState
-    more: Array
+    held: Array
     adrift: tuple[Adrift, ...]
+    moments: Array | None
 
 
 def find_initial_path(problem: Problem) -> Problem:
@@ -62,9 +62,19 @@ def find_initial_path(problem: Problem) -> Problem:
     doubted = bool((often & (first := _stepped(problem, PAST, RESTING, _only(few))).watch.mute(line[0])).any())
     if not doubted and not _quiet(problem, line[-1:]):
         return replace(problem, resets=first.resets)
+    problem = _with_stationary(problem)
     whole = _stepped(problem, PAST, ROUGHLY, _only(len(line)))
     stepwise = doubted or _quiet(problem, line[:0]) or len(whole.adrift) > 0
-    return replace(problem, path=(line, whole.points), resets=whole.resets, stepwise=stepwise)
+    problem = replace(problem, path=(line, whole.points), resets=whole.resets, stepwise=stepwise)
+    if problem.precision.learned is None:  # noise is not to be learned from the log
+        return problem
+    return _with_stationary(replace(problem, precision=replace(problem.precision, moments=whole.moments)))
+
+
+def _with_stationary(problem: Problem) -> Problem:
+    """The problem with the stationary motion of joints whose encoders are silent for long."""
+    models = {sighting.name: sighting.model for sighting in problem.evidence.sightings}
+    return replace(problem, stationary=stationary(models, problem.start, problem.precision))
 
 
 def walk(problem: Problem, remember: bool = False) -> Solution:
@@ -73,17 +83,14 @@ def walk(problem: Problem, remember: bool = False) -> Solution:
     fold = _only(events) if remember else fold_for(events)
     found = _stepped(problem, share, RESTING, fold)
     tangents = Tangents(problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings))
-    tangents.share, readings = share, full(replace(problem, resets=found.resets), fold)
+    tangents.share, readings = share, full(replace(problem, resets=found.resets), fold, found.held)
     tangents.draw(problem, fold, readings)
     if not found.adrift:
         return Solution(fold, readings, tangents, scan(readings, problem.dynamics, found.z, found.p, remember))
-    readings = replace(readings, more=fold.fold(found.more, 1.0))
     _write(found.adrift, fold, readings)
     trace = scan(readings, problem.dynamics, found.z, found.p, remember)
     at = np.array([one.at for one in found.adrift])
-    # the prior is no reading: it has no error and costs nothing
     fold.put(trace.nats, at, np.array([one.result.nats for one in found.adrift]))
-    fold.put(trace.encoder_d, at, np.stack([one.result.encoder_d for one in found.adrift]))
     return Solution(fold, readings, tangents, trace)
 
 
@@ -92,8 +99,6 @@ def _write(adrift: tuple[Adrift, ...], fold: Fold, readings: Readings) -> None:
     for one in adrift:
         at, lines = np.array([one.at]), one.result.lines
         assert lines is not None
-        fold.put(readings.encoders, at, one.readings[None])
-        fold.put(readings.encoder_var, at, one.var[None])
         for track, line in zip(one.tracks, lines.tracks, strict=True):
             parts = ((readings.y, line.y), (readings.jac, line.jac), (readings.var, line.var))
             for folded, row in parts:
@@ -131,34 +136,53 @@ def _stepped(problem: Problem, share: float, resting: float, fold: Fold) -> Walk
     encoders, var = encoder_rows(problem, len(line))
     own = encoders if motion.is_prior is None else np.where(motion.is_prior, np.nan, encoders)
     points, lost, watch = np.empty((len(line), m)), dict[float, Array](), AcquisitionState.initial(m)
-    sights, adrift, more = _sights(problem, share, len(line)), list[Adrift](), np.ones((len(line), m))
-    more[:] = 1.0 if problem.more is None else problem.more[: len(line)]
-    loose_prior = adrift_prior(
-        {s.name: s.model for s in problem.evidence.sightings}, problem.precision.process, problem.start
-    )
+    sights, adrift, more = _sights(problem, share, len(line)), list[Adrift](), problem.more
+    usual = problem.start if problem.stationary is None else problem.stationary.mean
+    held, moments = np.zeros((len(line), m), bool), _Moments(motion.order, usual, line[0] + SILENCE)
     (z, p), (begin_z, begin_p) = prior(problem), priors(problem, fold)
     for k, dt in enumerate(np.diff(line, prepend=line[0])):
         if k and k % fold.length == 0:
             begin_z[:, k // fold.length], begin_p[..., k // fold.length] = z, p
-        more[k, watch.loose] = LASTING
-        z, p = motion.move(z, p, dt, more[k])
+        held[k] = watch.held(line[k])
+        z, p = motion.move(z, p, dt, None if more is None else more[k], held[k])
         joints, borne = watch.judge(line[k], z, p, own[k], var[k], k in sights, motion.order)
         if joints is not None:
             forget(z, p, joints, own[k], dt, motion.order)
             lost[line[k]] = joints
         here = {track: watch.with_last_frame(track, sight) for track, sight in sights.get(k, ())}
-        if here and watch.adrift(line[k]).any():
-            readings, readings_var, is_prior = watch.add_prior(line[k], loose_prior, encoders[k], var[k])
-            with _at(line[k]):
-                found = hear(motion.recalling(is_prior), z, p, readings, readings_var, list(here.values()), adrift=True)
-            adrift.append(Adrift(k, readings, readings_var, tuple(here), found))
-        else:
-            with _at(line[k]):
-                found = hear(motion, z, p, encoders[k], var[k], list(here.values()), resting)
+        loose = bool(here) and watch.adrift(line[k])
+        with _at(line[k]):
+            found = hear(motion, z, p, encoders[k], var[k], list(here.values()), resting, loose)
+        if loose:
+            adrift.append(Adrift(k, tuple(here), found))
         z, p, points[k] = found.z, found.p, found.point
+        moments.add(line[k], z, p, borne)
         watch = watch.after(line[k], borne, here, found.memories)
     resets = (np.array(list(lost)), np.array(list(lost.values()))) if lost else None
-    return Walked(points, begin_z, begin_p, resets, watch, more, tuple(adrift))
+    return Walked(points, begin_z, begin_p, resets, watch, held, tuple(adrift), moments.found())
+
+
+class _Moments:
+    """Mean squares (O,M) of angles about `mean` (M,) and of their derivatives, where encoders are read after `begin`.
+
+    Those of the estimates, and the least variance of these.
+    """
+
+    def __init__(self, order: int, mean: Array, begin: float) -> None:
+        self._mean, self._begin, self._count = np.concatenate([mean, np.zeros((order - 1) * len(mean))]), begin, 0
+        self._sum, self._least = np.zeros(len(self._mean)), np.full(len(self._mean), np.inf)
+        self._shape = order, len(mean)
+
+    def add(self, t: float, z: Array, p: Array, read: Array) -> None:
+        """Add the state z (K,), p (K,K) at t (s), if all encoders were `read` (M,) bool."""
+        if t > self._begin and read.all():
+            size, self._count = len(self._mean), self._count + 1
+            self._sum += np.square(z[:size] - self._mean)
+            self._least = np.minimum(self._least, np.diagonal(p)[:size])
+
+    def found(self) -> Array | None:
+        """The mean squares; None if there were no readings."""
+        return None if not self._count else (self._sum / self._count + self._least).reshape(self._shape)
 
 
 @contextmanager

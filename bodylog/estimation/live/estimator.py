@@ -22,7 +22,7 @@ from ..methods.table import METHODS
 from ..noise import typed
 from ..noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame, reach
 from ..noise.noise_model import NoiseModel, carried
-from ..noise.posture_prior import LASTING, PosturePrior, adrift_prior, prior_of
+from ..noise.posture_prior import PosturePrior, prior_of, stationary
 from .inputs import Angles, Inputs, Observation, Place, ToAngles, finite
 from .replay_buffer import Instant, ReplayBuffer, State
 
@@ -119,6 +119,8 @@ class Estimator:
         first = self._precision.order * m
         bias = z[first:] if len(z) > first else None
         cov = self._stated * now.belief[:m, :m]
+        if now.held is not None and now.held.any():
+            cov = self._precision.of(now.belief[:m, :m], now.held)
         return Belief(now.t, z[:m], z[m : 2 * m], cov, nats, errors, bias, lost)
 
     def _begin(self, readings: Sequence[Array]) -> ReplayBuffer:
@@ -133,11 +135,11 @@ class Estimator:
         drift = np.full(len(names), WALKS[1]) if self._settings.bias == "on" else None
         process, order, near = precision.process, precision.order, precision.near
         posture = prior_of(self._inputs.silent, self._inputs.wanted, process, x, order)
-        dynamics = Dynamics(process, drift, None if posture is None else posture.joints, order)
+        resting = stationary(self._inputs.wanted, x, precision)
+        dynamics = Dynamics(process, drift, None if posture is None else posture.joints, order, resting)
         models = self._inputs.models
         like = {n: ErrorCorrelation(process, reach(m), near.get(n, 0.0), PAST, order=order) for n, m in models.items()}
-        adrift, steady = adrift_prior(self._inputs.wanted, process, x, order), EncoderSteps(dynamics, precision.encoder)
-        one = _Filter(Motion(dynamics), steady, posture, adrift, precision, like, models)
+        one = _Filter(Motion(dynamics), EncoderSteps(dynamics, precision.encoder), posture, precision, like, models)
         z, p = initial_path.prior_of(x, dynamics)
         watch = AcquisitionState.initial(len(x))
         first = State(-np.inf, np.column_stack([p, z]), watch, watch.borne.tolist())
@@ -151,7 +153,6 @@ class _Filter:
     motion: Motion
     steady: EncoderSteps
     posture: PosturePrior | None
-    adrift_posture: PosturePrior | None
     precision: NoiseModel
     like: Mapping[str, ErrorCorrelation]
     models: Mapping[str, ForwardModel]
@@ -184,24 +185,22 @@ class _Filter:
         dt = at.t - before.t if np.isfinite(before.t) else 0.0
         watch, motion, var = replace(before.watch, borne=np.array(before.borne)), self.motion, self.precision.encoder
         angles = np.full(len(var), np.nan) if at.angles is None else at.angles
-        more = np.where(watch.loose, LASTING, 1.0) if watch.loose.any() else None
-        z, p = motion.move(before.belief[:, -1], before.belief[:, :-1], dt, more)
+        held = watch.held(at.t)
+        z, p = motion.move(before.belief[:, -1], before.belief[:, :-1], dt, held=held)
         lost, borne = watch.judge(at.t, z, p, angles, var, bool(at.places), motion.order)
         if lost is not None:
             forget(z, p, lost, angles, dt, motion.order)
         here = {name: self._frame(name, at.t, *place, watch.seen.get(name)) for name, place in at.places.items()}
         if self.posture is not None and dt > 0.0:
             angles, var = self.posture.read(angles, var, dt)
-        if adrift := bool(here and watch.adrift(at.t).any()):
-            angles, var, is_prior = watch.add_prior(at.t, self.adrift_posture, angles, var)
-            motion = motion.recalling(is_prior)
+        adrift = bool(here) and watch.adrift(at.t)
         found = hear(motion, z, p, angles, var, list(here.values()), adrift=adrift)
         errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
         watch = watch.after(at.t, borne, here, found.memories)
-        oldest = -np.inf if watch.loose.any() else float(watch.borne.min())
         belief = np.empty(before.belief.shape)
         belief[:, :-1], belief[:, -1] = found.p, found.z
-        return State(at.t, belief, watch, watch.borne.tolist(), oldest, 0, found.nats, errors, lost)
+        borne = watch.borne.tolist()
+        return State(at.t, belief, watch, borne, min(borne), 0, found.nats, errors, lost, held)
 
     def _frame(self, name: str, t: float, place: Array, var: Array, last: PendingFrame | None) -> PendingFrame:
         """A frame at t (s), with the track's last one."""

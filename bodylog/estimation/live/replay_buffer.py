@@ -15,9 +15,9 @@ class State:
     """After an instant t (s; −∞ before the first): the acquisition state, the instant's nats, and the belief.
 
     belief (K,K+1): the rows of the covariance, each followed by the mean ·
-    borne (M) s: time at which each encoder last confirmed the belief; oldest (s): the least of these, −∞ while joints
-    are adrift · uneven: instants since p was made symmetric · errors {sense: standard deviations} of this instant ·
-    lost (M,) bool: joints re-initialised at it.
+    borne (M) s: time at which each encoder last confirmed the belief; oldest (s): the least of these ·
+    uneven: instants since p was made symmetric · errors {sense: standard deviations} of this instant ·
+    lost (M,) bool: joints re-initialised at it · held (M,) bool: joints silent for long before it.
     """
 
     t: float
@@ -29,6 +29,7 @@ class State:
     nats: float = 0.0
     errors: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
     lost: Array | None = None
+    held: Array | None = None
 
 
 @dataclass(eq=False)

@@ -56,7 +56,7 @@ def _filtered(features: Features, body: BodyModel, settings: Estimation, method:
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
     precision = problem.precision
     beliefs = Beliefs(
-        shown(unfold(trace.z), problem), precision.of(unfold(trace.p[:, :m, :m])), unfold(trace.nats),
+        shown(unfold(trace.z), problem), precision.of(unfold(trace.p[:, :m, :m]), problem.held), unfold(trace.nats),
         unfold(trace.prior),
         unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
         drifts(problem, body.joints, solution, faults), tuple(lost(problem, body.joints, solution)),
@@ -85,12 +85,10 @@ def gathered(features: Features, body: BodyModel, settings: Estimation) -> tuple
     problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, posture_prior=usual)
     allowed = encoder_offset.preset_walks(settings.bias, body.joints, faults)
     problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
-    problem = find_initial_path(problem)
-    if settings.process is not None:  # it is a white acceleration
-        return problem, faults
-    problem = with_preferred_order(problem)
-    precision = typed.precision(problem.precision, settings, body.joints)
-    return replace(problem, precision=precision), faults
+    if settings.process is None:  # it is a white acceleration
+        problem = with_preferred_order(problem)
+        problem = replace(problem, precision=typed.precision(problem.precision, settings, body.joints))
+    return find_initial_path(problem), faults
 
 
 def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:

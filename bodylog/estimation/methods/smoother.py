@@ -57,7 +57,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     solver = (lambda posed, _: once(posed)) if problem.stepwise else solve
     problem, smooth = settled(problem, warm, settings, solver, once)
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
-    z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov))
+    z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov), problem.held)
     beliefs = Beliefs(
         shown(z, problem), cov, unfold(smooth.trace.nats), z[:, :m], cov, unfold(smooth.trace.encoder_d),
         precision.scale, precision.plain(), drifts(problem, body.joints, smooth, faults),

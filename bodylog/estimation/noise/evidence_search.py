@@ -36,7 +36,7 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
 
     Also the last solution as a warm start, if it covers the whole log.
     """
-    part = middle(replace(problem, precision=replace(problem.precision, fewer={})))
+    part = middle(determined(replace(problem, precision=replace(problem.precision, fewer={}))))
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
     if not names and not whole:
         return problem.precision, None
@@ -186,6 +186,18 @@ def middle(problem: Problem) -> Problem:
     start = np.array([c[0] if len(c) else s for c, s in zip(known, problem.start, strict=True)])
     cut = Evidence(encoders, sightings, start, evidence.used, ())
     return replace(problem, evidence=cut, timeline=timeline(cut, None), start=start)
+
+
+def determined(problem: Problem) -> Problem:
+    """The problem without images at times when no more numbers than encoders are silent must determine these joints."""
+    held = problem.held
+    if held is None:
+        return problem
+    line, evidence = problem.timeline, problem.evidence
+    sure = held.sum(axis=1) < sum(s.values.shape[1] for s in visual(evidence.sightings))
+    pairs = zip(evidence.sightings, line.sightings, strict=True)
+    evidence = replace(evidence, sightings=tuple(_cut_sighting(s, sure[at]) for s, at in pairs))
+    return problem if sure.all() else replace(problem, evidence=evidence, timeline=timeline(evidence, None))
 
 
 def _cut_sighting(sighting: Sighting, rows: Array) -> Sighting:

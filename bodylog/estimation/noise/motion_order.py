@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...types import Hypothesis
+from ..inference.reacquisition import silent
 from .encoder_noise import FEWEST
 
 if TYPE_CHECKING:
@@ -18,15 +19,16 @@ EVEN = 0.0
 def with_preferred_order(problem: "Problem") -> "Problem":
     """The problem with white jerk where the encoders' evidence prefers it, if its noise is learned from the log.
 
-    Encoders that are silent for long keep white acceleration: a jerk's variance grows with the fifth power of time.
+    Also where an encoder is silent for long: over seconds accelerations last, which a log's readings, hundredths of a
+    second apart, may not show.
     """
     encoders, precision, learned = problem.evidence.encoders, problem.precision, problem.precision.learned
-    silent = problem.path is not None or problem.resets is not None or problem.posture_prior is not None
-    if encoders is None or learned is None or silent or (np.isfinite(encoders.values).sum(axis=0) <= FEWEST).any():
+    unread = problem.posture_prior is not None
+    if encoders is None or learned is None or unread or (np.isfinite(encoders.values).sum(axis=0) <= FEWEST).any():
         return problem
     white, jerk = learned
     nats = jerk.evidence - white.evidence
-    chosen = bool(nats > EVEN)
+    chosen = bool(nats > EVEN or silent(problem.timeline.t, encoders).any())
     order = Hypothesis("white jerk", "joints", nats, EVEN, chosen)
     evidence = replace(problem.evidence, hypotheses=(*problem.evidence.hypotheses, order))
     if chosen:

@@ -24,7 +24,8 @@ class NoiseModel:
     order 2: white acceleration, process in rad²/s³; 3: white jerk, rad²/s⁵ · near {sighting: px} correlation length of
     its errors; other sightings have white errors · stated: share of the covariance that is stated, () or (M,) · fewer
     {tracks in view: process (M,)} where these are not all · likeliest: process (M,) of a filter, where a smoother's
-    differs · evident: process (M,) before `held` · learned: from encoders, for white acceleration and white jerk.
+    differs · evident: process (M,) before `held` · learned: from encoders, for white acceleration and white jerk ·
+    moments (O,M): mean squares of the angles, from their explored mean, and of their derivatives, if one is silent.
     """
 
     encoder: Array
@@ -38,6 +39,7 @@ class NoiseModel:
     evident: Array | None = None
     learned: tuple[Learned, Learned] | None = None
     order: int = 2
+    moments: Array | None = None
 
     def plain(self) -> dict[str, Any]:
         """The model as plain numbers, for the estimate's settings."""
@@ -47,8 +49,9 @@ class NoiseModel:
         plain["scale"] = dict(self.scale)
         fewer = {" ".join(view) or "none": [float(v) for v in process] for view, process in self.fewer.items()}
         plain["near"], plain["stated"] = dict(self.near), np.broadcast_to(self.stated, self.process.shape).tolist()
+        moments = {} if self.moments is None else {"moments": self.moments.tolist()}
         likeliest = {} if self.likeliest is None else {"likeliest": self.likeliest.tolist()}
-        return {**plain, **likeliest, **({"process_in_view": fewer} if fewer else {})}
+        return {**plain, **likeliest, **moments, **({"process_in_view": fewer} if fewer else {})}
 
     def held(self, evident: Array, encoders: Encoders, white: Array | float = 1.0) -> "NoiseModel":
         """With processes (M,) by evidence, but at least those that bound a filter's memory by MEMORY.
@@ -60,10 +63,11 @@ class NoiseModel:
         stated = 1.0 - white / (2 * self.order) * (1.0 - np.minimum(evident / process, 1.0))
         return replace(self, process=process, stated=stated, evident=evident)
 
-    def of(self, cov: Array) -> Array:
-        """Stated covariance (E,M,M) for the covariance `cov` of the filter or smoother."""
-        share = np.sqrt(np.broadcast_to(self.stated, self.process.shape))
-        return np.asarray(share[:, None] * share * cov)
+    def of(self, cov: Array, held: Array | None = None) -> Array:
+        """Stated covariance (…,M,M) for the covariance `cov` of the filter or smoother, whole for joints held (…,M)."""
+        share = np.sqrt(np.where(False if held is None else held, 1.0, self.stated))
+        share = np.broadcast_to(share, cov.shape[:-1])
+        return np.asarray(share[..., None] * share[..., None, :] * cov)
 
 
 PAPER = (1.0, 1.0, 5.0)
@@ -113,19 +117,22 @@ def carried(body: BodyModel, found: Mapping[str, Any] | None) -> NoiseModel:
         raise UsageError(f"learned: order is {order!r}, possible: 2 or 3")
     if "likeliest" in found:  # a smoother's process variances are not a filter's
         found = {**found, "process": found["likeliest"], "stated": [1.0] * len(body.joints)}
-    encoder, process, stated = (_positive(found, name, len(body.joints)) for name in ("encoder", "process", "stated"))
+    shape = (len(body.joints),)
+    encoder, process, stated = (_positive(found, name, shape) for name in ("encoder", "process", "stated"))
+    moments = _positive(found, "moments", (order, *shape)) if "moments" in found else None
     scale, near = dict(found.get("scale", {})), dict(found.get("near", {}))
-    return NoiseModel(encoder, process, None, scale, near, stated, order=order)
+    return NoiseModel(encoder, process, None, scale, near, stated, order=order, moments=moments)
 
 
-def _positive(found: Mapping[str, Any], name: str, count: int) -> Array:
-    """Positive numbers (M,) from the settings; UsageError for others."""
+def _positive(found: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Array:
+    """Positive numbers of a shape from the settings; UsageError for others."""
     try:
         values = np.asarray(found.get(name), float)
     except (TypeError, ValueError):
         values = np.empty(0)
-    if values.shape == (count,) and (values > 0).all() and np.isfinite(values).all():
+    if values.shape == shape and (values > 0).all() and np.isfinite(values).all():
         return values
+    count = " × ".join(map(str, shape))
     text = f"learned: {name} is {found.get(name)!r}, possible: {count} numbers above 0, as an estimate by this body has"
     raise UsageError(text)
 

@@ -7,17 +7,16 @@ import numpy as np
 
 from ...body_model import ForwardModel
 from ...types import Array
+from ..inference.reacquisition import START_STD
+from ..inference.stationary import Stationary
 from ..measurements.records import Evidence
+from .noise_model import NoiseModel
 from .steady import steady_density
 
-LASTING = 4.0
-"""Factor on the process variance of joints that images hardly determine.
-
-Encoder noise shows tenths of a second of motion. Over seconds, lasting accelerations move an arm farther than white
-ones.
-"""
 WIDER = 2.0
 """Prior standard deviation of a joint, in standard deviations of the explored angles."""
+BROAD = 1.8
+"""Least product of the variances of angle and acceleration, over the square of the rate's: of a flat spectrum."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +37,6 @@ class PosturePrior:
         """Encoder rows (…,M) and variances with a pseudo-reading after dt (…,1) s."""
         return np.where(self.joints, self.mean, encoders), np.where(self.joints, self.density / dt, var)
 
-    def add_prior(self, readings: Array, var: Array, joints: Array, since: Array) -> tuple[Array, Array, Array]:
-        """Readings (M,) rad and variances with a pseudo-reading of silent `joints` (M,) bool; and which joints.
-
-        since (M,): s after the last one.
-        """
-        own = joints & self.joints & ~np.isfinite(readings)
-        return np.where(own, self.mean, readings), np.where(own, self.density / since, var), own
-
 
 def learn_prior(evidence: Evidence, process: Array, start: Array) -> PosturePrior | None:
     """The prior of joints without encoder readings in a log, from the samples of its tracks' models."""
@@ -53,13 +44,6 @@ def learn_prior(evidence: Evidence, process: Array, start: Array) -> PosturePrio
     if evidence.encoders is not None:
         silent = np.all(~np.isfinite(evidence.encoders.values), axis=0)
     return prior_of(silent, {s.name: s.model for s in evidence.sightings}, process, start)
-
-
-def adrift_prior(
-    models: Mapping[str, ForwardModel], process: Array, start: Array, order: int = 2
-) -> PosturePrior | None:  # fmt: skip
-    """The prior of joints adrift; process (M,) of motion of an order is that with encoders."""
-    return prior_of(np.ones(len(process), bool), models, LASTING * process, start, order)
 
 
 def prior_of(
@@ -70,12 +54,33 @@ def prior_of(
     Pseudo-readings hold a joint at a filter's steady variance, and their density is such that this equals the widened
     variance of the explored angles. The mean is that of the explored angles, or the start if only touch was measured.
     """
+    known = _explored(models)
+    if not silent.any() or known is None:
+        return None
+    (mean, std), seen = known, any(name != "touch" for name in models)
+    density = steady_density(np.square(WIDER * std), process, order)
+    silent = silent & (density > 0)
+    return PosturePrior(silent, mean if seen else start, density) if silent.any() else None
+
+
+def stationary(models: Mapping[str, ForwardModel], start: Array, precision: NoiseModel) -> Stationary:
+    """The motion of joints while their encoders are silent.
+
+    Derivatives have the log's own mean squares, if known, or a belief's prior ones. Angles have those of the explored
+    angles, or more: the log's own, or those that the derivatives need.
+    """
+    known, order = _explored(models), precision.order
+    mean, std = (start, np.full(len(start), START_STD[0])) if known is None else known
+    var = np.stack([np.square(std), *np.repeat(np.square(START_STD[1:order])[:, None], len(start), axis=1)])
+    if precision.moments is not None:
+        var = np.concatenate([np.maximum(var[:1], precision.moments[:1]), precision.moments[1:]])
+    if order == 3:
+        var[0] = np.maximum(var[0], BROAD * var[1] ** 2 / var[2])
+    return Stationary(mean, var, precision.process)
+
+
+def _explored(models: Mapping[str, ForwardModel]) -> tuple[Array, Array] | None:
+    """Mean and standard deviation (M,) rad of the models' samples, or None without any."""
     distinct = {id(model): model for model in models.values()}
     known = [model.samples for model in distinct.values() if hasattr(model, "samples") and len(model.samples) > 1]
-    if not silent.any() or not known:
-        return None
-    explored, seen = np.concatenate(known), any(name != "touch" for name in models)
-    var = np.square(WIDER * explored.std(axis=0))
-    density = steady_density(var, process, order)
-    silent = silent & (density > 0)
-    return PosturePrior(silent, explored.mean(axis=0) if seen else start, density) if silent.any() else None
+    return (np.concatenate(known).mean(axis=0), np.concatenate(known).std(axis=0)) if known else None
