@@ -56,16 +56,15 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
     None where the log determines no step, or without convergence.
     """
     # pooled readings of a known solution would still have the step
-    fresh, encoders = replace(solved, knots=None), problem.evidence.encoders
-    assert encoders is not None
+    fresh, encoders, first = replace(solved, knots=None), problem.evidence.encoders, wandering.dynamics.offset
+    assert encoders is not None and first is not None
 
     def trial(row: int, size: float) -> _Trial:
         without = _without(problem, joint, row, size)
         return _Trial(row, size, without, solve(without, fresh, rest=ROUGHLY))
 
     try:
-        path = _offsets(wandering, solve(wandering, fresh, rest=ROUGHLY), joint)
-        row, size = _two_levels(path)
+        row, size = _two_levels(_at_readings(wandering, solve(wandering, fresh, rest=ROUGHLY), first + joint))
         # an encoder that is off within the first second is off from the start
         late = encoders.t - encoders.t[0] >= 1.0
         chosen = _located(trial, encoders.values[:, joint], row, size, joint) if late[row] else None
@@ -85,11 +84,9 @@ def _without(problem: Problem, joint: int, row: int, size: float) -> Problem:
     return replace(problem, evidence=replace(problem.evidence, encoders=replace(encoders, values=values)))
 
 
-def _offsets(problem: Problem, solved: Solution, joint: int) -> Array:
-    """Filtered offset (N,) rad of one encoder at its readings."""
-    first = problem.dynamics.offset
-    assert first is not None
-    return np.asarray(solved.fold.unfold(solved.trace.z[:, first + joint])[problem.timeline.encoders])
+def _at_readings(problem: Problem, solved: Solution, state: int) -> Array:
+    """One filtered state (N,) at the encoders' readings."""
+    return np.asarray(solved.fold.unfold(solved.trace.z[:, state])[problem.timeline.encoders])
 
 
 def _two_levels(path: Array) -> tuple[int, float]:
@@ -102,21 +99,14 @@ def _two_levels(path: Array) -> tuple[int, float]:
 
 def _located(trial: Callable[[int, float], _Trial], y: Array, row: int, size: float, joint: int) -> _Trial:
     """The trial of least cost among rows about the first guess, for readings y (N,) rad."""
-    best: _Trial | None = None
+    tried = list[_Trial]()
     for guess in {row, _steepest(y, row, size)}:
         rows = set[int]()
         while guess not in rows and len(rows) < 6:
             rows.add(guess)
-            tried = trial(guess, size)
-            best = tried if best is None or tried.nats < best.nats else best
-            guess = _boundary(y - _angles(tried, joint), guess, size)
-    assert best is not None
-    return best
-
-
-def _angles(tried: _Trial, joint: int) -> Array:
-    """Filtered angle (N,) rad of one joint at the encoders' readings."""
-    return np.asarray(tried.solved.fold.unfold(tried.solved.trace.z[:, joint])[tried.problem.timeline.encoders])
+            tried.append(trial(guess, size))
+            guess = _boundary(y - _at_readings(tried[-1].problem, tried[-1].solved, joint), guess, size)
+    return min(tried, key=lambda one: one.nats)
 
 
 def _steepest(y: Array, row: int, size: float) -> int:

@@ -11,8 +11,6 @@ from .track import ascending
 
 STEP = 2.0 * np.pi / 4096.0
 """rad: the step of a 12-bit encoder, assumed for one that never moves."""
-PROCESS = 1.0
-"""rad²/s³: process noise of joints that never move; others learn theirs."""
 NAMED = 3
 """Joints or times named in one remark."""
 
@@ -23,7 +21,8 @@ def joints_body(joints: Series, wanted: tuple[str, ...] | None) -> BodyModel:
     if unknown := [name for name in wanted or () if name not in known]:
         raise UsageError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(known)}; type: bodylog info LOG")
     names = tuple(wanted or known)
-    noise = Noise((STEP**2 / 12.0,) * len(names), {}, (PROCESS,) * len(names))
+    # joints that never move keep this process noise, 1 rad²/s³; others learn theirs
+    noise = Noise((STEP**2 / 12.0,) * len(names), {}, (1.0,) * len(names))
     return BodyModel(names, {}, noise, TouchConstants(1.0, 0.005), {})
 
 
