@@ -12,7 +12,7 @@ from ..noise.noise_model import NoiseModel
 from ..noise.posture_prior import PosturePrior
 from ..noise.visibility import views
 from .filter_records import Dynamics
-from .reacquisition import silent
+from .reacquisition import left_open
 from .stationary import Stationary
 
 
@@ -54,11 +54,10 @@ class Problem:
 
     @property
     def held(self) -> Array | None:
-        """Joints (E,M) bool whose encoders have been silent for long at each instant; None if none ever is."""
-        encoders, t = self.evidence.encoders, self.timeline.t
-        if self.stationary is None or encoders is None:
+        """Silent joints (E,M) bool that images leave open at each instant; None if none ever is silent."""
+        if self.stationary is None or self.evidence.encoders is None:
             return None
-        return silent(t, encoders)
+        return left_open(self.timeline.t, self.evidence)
 
     @property
     def more(self) -> Array | None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...types import Array, Finding
-from ..measurements.records import Encoders
+from ..measurements.records import Encoders, Evidence
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from .motion import carry
 
@@ -46,13 +46,16 @@ class AcquisitionState:
         return np.asarray(t - self.borne > SILENCE)
 
     def held(self, t: float) -> Array:
-        """Joints (M,) bool that have been silent for long at t (s), after they had been read."""
-        return np.asarray(self.mute(t) & np.isfinite(self.borne))
+        """Joints (M,) bool, read before, that are silent at t (s) and that images, with no more numbers, leave open."""
+        silent, numbers = self.mute(t) & np.isfinite(self.borne), self._numbers(t)
+        return np.asarray(silent & (numbers <= silent.sum()))
 
     def adrift(self, t: float) -> bool:
-        """Whether images, with no more numbers than joints are silent at t (s), hardly determine these."""
-        numbers = sum(len(sight.value) for sight in self.seen.values() if t - sight.t <= SILENCE)
-        return 0 < numbers <= int(self.held(t).sum())
+        """Whether images at t (s) hardly determine silent joints."""
+        return self._numbers(t) > 0 and bool(self.held(t).any())
+
+    def _numbers(self, t: float) -> int:
+        return sum(len(sight.value) for sight in self.seen.values() if t - sight.t <= SILENCE)
 
     def with_last_frame(self, track: Any, sight: PendingFrame) -> PendingFrame:
         """A frame with its track's last one."""
@@ -98,11 +101,23 @@ class AcquisitionState:
 
 def silent(t: Array, encoders: Encoders) -> Array:
     """Joints (E,M) bool whose encoders, read before, have been silent for long at times t (E,) s."""
-    found = np.zeros((len(t), encoders.values.shape[1]), bool)
-    for joint, column in enumerate(encoders.values.T):
-        known = np.concatenate([[np.inf], encoders.t[np.isfinite(column)]])
-        found[:, joint] = t - known[np.searchsorted(known[1:], t)] > SILENCE
-    return found
+    return np.stack([_since(encoders.t[np.isfinite(column)], t) > SILENCE for column in encoders.values.T], axis=1)
+
+
+def left_open(t: Array, evidence: Evidence) -> Array:
+    """Silent joints (E,M) bool at times t (E,) s that images of the time before, with no more numbers, leave open."""
+    assert evidence.encoders is not None
+    joints = silent(t, evidence.encoders)
+    if not joints.any():
+        return joints
+    seen = [(s.t[np.isfinite(s.values).all(axis=1)], s.values.shape[1]) for s in evidence.sightings]
+    numbers = sum((rows * (np.abs(_since(times, t)) <= SILENCE) for times, rows in seen), np.zeros(len(t)))
+    return np.asarray(joints & (numbers <= joints.sum(axis=1))[:, None])
+
+
+def _since(known: Array, t: Array) -> Array:
+    """Times (E,) s since the last of the `known` times (N,) before t (E,) s; −∞ before the first."""
+    return np.asarray(t - np.concatenate([[np.inf], known])[np.searchsorted(known, t)])
 
 
 def named(names: tuple[str, ...], t: Array, reset: Array) -> Iterator[Finding]:

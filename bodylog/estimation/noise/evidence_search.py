@@ -194,7 +194,7 @@ def determined(problem: Problem) -> Problem:
     if held is None:
         return problem
     line, evidence = problem.timeline, problem.evidence
-    sure = held.sum(axis=1) < sum(s.values.shape[1] for s in visual(evidence.sightings))
+    sure = np.asarray(~held.any(axis=1))
     pairs = zip(evidence.sightings, line.sightings, strict=True)
     evidence = replace(evidence, sightings=tuple(_cut_sighting(s, sure[at]) for s, at in pairs))
     return problem if sure.all() else replace(problem, evidence=evidence, timeline=timeline(evidence, None))
