@@ -21,6 +21,7 @@ from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.track_curve import Curve, interpolated, track_curve
 from .contract import Verdict
 from .encoder_offset import WALKS
+from .inflated_variance import InflatedVariance
 from .threshold import FAR, NATS
 
 SIZE = 30.0
@@ -67,7 +68,10 @@ class _Rows:
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
-    """Undo camera displacements in the tracks; without effect if encoders read another function of the angle."""
+    """Undo camera displacements in the tracks; the uncertainty of each is added to the model's variance.
+
+    Without effect if encoders read another function of the angle.
+    """
     if evidence.encoders is None or "encoders" in body.senses:
         return Verdict(evidence)
     sightings, faults, hypotheses = list(evidence.sightings), list[Fault](), list[Hypothesis]()
@@ -94,7 +98,8 @@ def undisplaced(sighting: Sighting, moved: Displacement) -> Sighting:
     """Return the sighting with the displacement subtracted from its time on."""
     off = (sighting.t >= moved.t)[:, None] * moved.size
     before = np.zeros_like(sighting.values) if sighting.displaced is None else sighting.displaced
-    return replace(sighting, values=sighting.values - off, displaced=before + off)
+    unsure = InflatedVariance(sighting.model, np.diag(moved.cov))
+    return replace(sighting, model=unsure, values=sighting.values - off, displaced=before + off)
 
 
 def displacements(encoders: Encoders, seen: Sequence[Sighting]) -> list[Displacement]:
