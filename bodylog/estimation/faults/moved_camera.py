@@ -62,7 +62,7 @@ class _Rows:
     model: Array
     speed: Array
 
-    def alike(self) -> Iterator[Array]:
+    def series(self) -> Iterator[Array]:
         """Yield the rows of each output of each track."""
         yield from (np.flatnonzero(self.number == number) for number in np.unique(self.number))
 
@@ -123,7 +123,7 @@ def _robust_covariance(rows: _Rows) -> Array:
     """Covariance (R,R) with variance added to rows far from the median of their neighbours."""
     cov, far = _covariance(rows), np.zeros(len(rows.t))
     spread = np.sqrt(np.diag(cov))
-    for own in rows.alike():
+    for own in rows.series():
         if len(own) >= 5:
             # a median of five preserves a step
             beside = np.lib.stride_tricks.sliding_window_view(np.pad(rows.r[own], 2, "edge"), 5)
@@ -199,7 +199,7 @@ def _covariance(rows: _Rows) -> Array:
     cov += LATE**2 * np.outer(rows.speed, rows.speed)
     cov += _offset_covariance(rows, rows.jac, OFFSET_STD, WALKS[-1])
     model = np.sqrt(rows.model)
-    for own in rows.alike():
+    for own in rows.series():
         apart = sum(np.square(np.subtract.outer(x, x)) for x in rows.x[own].T)
         cov[np.ix_(own, own)] += np.outer(model[own], model[own]) * np.exp(-0.5 * apart)
     cov[np.diag_indices_from(cov)] += rows.noise

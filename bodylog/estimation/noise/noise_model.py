@@ -85,7 +85,7 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseM
     near = {s.name: NEAR for s in evidence.sightings if s.name != "touch" and s.cov is None}
     if evidence.encoders is None:
         return NoiseModel(encoder, process, None, scale, near)
-    # white acceleration may take noise for motion where an arm rests and moves by turns, white jerk does not
+    # white acceleration may take noise for motion where an arm stands and moves by turns, white jerk does not
     jerk = encoder_noise.learn(evidence.encoders, encoder, process, 3)
     white = encoder_noise.learn(evidence.encoders, jerk.encoder, process, 2, known=True)
     held = NoiseModel(white.encoder, process, None, scale, near).held(white.process, evidence.encoders)
