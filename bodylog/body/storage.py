@@ -46,7 +46,10 @@ _POSITIVE, _NOT_NEGATIVE = ("scales", "amplitude", "doubt"), ("noise", "spread",
 
 
 def save(model: BodyModel, path: Path) -> None:
-    """Write the model to `path` (.npz, whole or not at all); ModelError for an unknown kind of sense."""
+    """Write the model to `path` (.npz, whole or not at all).
+
+    ModelError for an unknown kind of sense, or a header that `load` would refuse.
+    """
     arrays: dict[str, Array] = {}
     for name, sense in model.senses.items():
         if type(sense) not in header.KINDS:
@@ -56,7 +59,9 @@ def save(model: BodyModel, path: Path) -> None:
         fields = (*_SHAPES[header.KINDS[type(sense)]], *(field for field in own if field in storage.BASE))
         values = {field: own[field] if field in own else getattr(sense, field) for field in fields}
         arrays |= {f"{name}/{field}.npy": np.asarray(value, np.float64) for field, value in values.items()}
-    arrays[_HEADER] = np.array(json.dumps(header.written(model), sort_keys=True))
+    text = json.dumps(header.written(model), sort_keys=True)
+    header.read(path, text)
+    arrays[_HEADER] = np.array(text)
     with replacing(path) as beside, zipfile.ZipFile(beside, "w", zipfile.ZIP_STORED) as archive:
         for name in sorted(arrays):
             with archive.open(zipfile.ZipInfo(name, _EPOCH), "w", force_zip64=True) as stream:

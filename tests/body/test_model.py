@@ -214,3 +214,10 @@ def test_older_touch_constants_are_read(body: BodyModel, tmp_path: Path) -> None
     units = {"joints": "rad", "encoder": "rad^2", "process": "rad^2/s^3", "b1": "1/px^2", "b2": "1/s^2", "cells": "px"}
     _header(touch={"a1": 1.0, "b1": 0.003, "a2": 1.0, "b2": 200.0}, units=units)(path)
     assert load(path).touch == TouchConstants(1.0, 0.003)
+
+
+def test_save_refuses_a_model_that_could_not_be_loaded(body: BodyModel, tmp_path: Path) -> None:
+    noise = replace(body.noise, senses={name: (1e37,) * len(v) for name, v in body.noise.senses.items()})
+    with pytest.raises(ModelError, match=r"noise\.senses.*possible: a list of finite numbers"):
+        save(replace(body, noise=noise), tmp_path / "body.npz")
+    assert not list(tmp_path.iterdir())
