@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from bodylog import body
 from bodylog.body_model import BodyModel
 from bodylog.errors import UsageError
 from bodylog.estimation import estimate
-from bodylog.estimation.poses.encoders import _evidence, _Rows
+from bodylog.estimation.poses.encoders import Errors, evidence
 from bodylog.estimation.poses.solve import descended, gathered
 from bodylog.settings import Body, Estimation, Settings
 from bodylog.types import Features, Series
@@ -124,32 +125,39 @@ def test_descended_pose_has_the_lowest_cost_nearby(learned):
     features, _ = _poses(23, noise=0.01)
     from bodylog.estimation.faults.screening import screened
 
-    evidence = screened(features, learned, Estimation())
-    poses = gathered(evidence.encoders, evidence.sightings, learned)
-    variance = np.full(3, 1e-4)
-    found = descended(poses, variance, np.zeros(3), poses.z)
+    sound = screened(features, learned, Estimation())
+    poses = gathered(sound.encoders, sound.sightings, learned).encoded(np.full(3, 1e-4), np.zeros(3))
+    found = descended(poses, poses.y[:, :3])
     for joint in np.eye(3):
         for step in (-1e-4, 1e-4):
-            beside = descended(poses, variance, np.zeros(3), found.x + step * joint)
+            beside = descended(poses, found.x + step * joint)
             np.testing.assert_allclose(beside.x, found.x, atol=2e-6)
 
 
-def test_pose_evidence_gradient_is_its_finite_difference():
+def test_pose_evidence_is_a_dense_one_and_its_gradient_a_finite_difference():
+    """Positions less those at the encoders' angles, −J e + noise, in one normal density of all poses and offsets."""
     draw = np.random.default_rng(3)
-    jac = draw.normal(0, 200, (20, 6, 3))
-    rows = _Rows(draw.normal(0, 2, (20, 6)), jac, np.where(draw.random((20, 6)) < 0.2, np.inf, 0.3))
+    jac, nu = draw.normal(0, 200, (20, 6, 3)), draw.normal(0, 2, (20, 6))
+    var = np.where(draw.random((20, 6)) < 0.2, np.inf, 0.3)
+    lean = np.swapaxes(jac / var[..., None], 1, 2)
+    errors = Errors(lean @ jac, -(lean @ nu[..., None])[..., 0])
+    seen = np.isfinite(var).ravel()
+
+    def dense(log_var, free):
+        slopes = -jac.reshape(-1, 3)
+        own = [j @ np.diag(np.exp(log_var)) @ j.T for j in jac]
+        cov = block_diag(*own) + 0.3 * np.eye(120) + 0.3**2 * slopes @ np.diag(free.astype(float)) @ slopes.T
+        some = np.linalg.slogdet(cov[np.ix_(seen, seen)])[1]
+        return -0.5 * (nu.ravel()[seen] @ np.linalg.solve(cov[np.ix_(seen, seen)], nu.ravel()[seen]) + some)
+
     for free in (np.zeros(3, bool), np.array([False, True, True])):
-        at = np.log([1e-4, 1e-5, 1e-3])
-        value, slope = _evidence(at, rows, free)
+        at, other = np.log([1e-4, 1e-5, 1e-3]), np.log([3e-4, 2e-5, 1e-4])
+        value, slope, *_ = evidence(at, errors, free)
         for k, step in enumerate(np.eye(3) * 1e-5):
-            rise = (_evidence(at + step, rows, free)[0] - _evidence(at - step, rows, free)[0]) / 2e-5
+            rise = (evidence(at + step, errors, free)[0] - evidence(at - step, errors, free)[0]) / 2e-5
             assert abs(rise - slope[k]) < 1e-4 * max(1.0, abs(slope[k]))
-        dense = 0.0
-        for nu, j, var in zip(rows.nu, rows.jac, rows.var, strict=True):
-            seen = np.isfinite(var)
-            cov = j[seen] @ np.diag(np.exp(at)) @ j[seen].T + np.diag(var[seen])
-            dense -= 0.5 * (nu[seen] @ np.linalg.solve(cov, nu[seen]) + np.linalg.slogdet(2 * np.pi * cov)[1])
-        assert free.any() or abs(value - dense) < 1e-6 * abs(dense)
+        gained = evidence(other, errors, free)[0] - value
+        assert abs(gained - (dense(other, free) - dense(at, free))) < 1e-6 * abs(gained)
 
 
 def test_methods_that_follow_a_motion_are_refused(learned):

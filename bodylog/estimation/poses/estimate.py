@@ -9,7 +9,8 @@ from ...errors import EvidenceError, ModelError, UsageError
 from ...settings import Estimation
 from ...types import Array, Capabilities, Estimate, Features, Finding, Series
 from ..faults.screening import POSES, screened
-from ..measurements.records import Evidence, Sighting
+from ..measurements.long_arrays import seen as seen_rows
+from ..measurements.records import Evidence
 from ..noise import typed
 from .encoders import Encoding, faults, learned
 from .solve import Poses, Solved, gathered, solved
@@ -31,31 +32,37 @@ def estimate(features: Features, body: BodyModel, settings: Estimation, can: Cap
     known = typed.of_joints(settings.sigma_encoders, body.joints, np.array(body.noise.encoder, float))
     unknown = settings.precision == "auto" and settings.sigma_encoders is None
     found = learned(poses, known, body.joints, unknown, settings.bias)
-    at = solved(poses, found.variance, found.offset)
-    return _written(settings, body, evidence, poses, found, at)
+    poses = poses.encoded(found.variance, found.offset)
+    return _written(settings, body, evidence, poses, found, solved(poses))
 
 
 def _written(
     settings: Estimation, body: BodyModel, evidence: Evidence, poses: Poses, found: Encoding, at: Solved
 ) -> Estimate:
     """The public record."""
-    t, names = poses.t, body.joints
+    t, names, source = poses.t, body.joints, poses.source_ns
     errors, predicted, covs = dict[str, Series](), dict[str, Series](), dict[str, Array]()
-    for sighting, columns in zip(poses.sightings, poses.rows, strict=True):
-        error, prediction, cov = _predictions(poses, at, sighting, columns)
-        errors[sighting.name], predicted[sighting.name], covs[sighting.name] = error, prediction, cov
-    if np.isfinite(poses.z).any():
-        errors["encoders"] = Series(t, _encoder_errors(poses, found, at), names, "std", poses.source_ns)
-    offset = np.broadcast_to(found.offset, poses.z.shape).copy()
+    for one, rows in zip(poses.sightings, poses.rows(), strict=True):
+        left, cov = _left_out(poses, at, rows)
+        std, outputs = np.sqrt(np.einsum("pkk->pk", cov)), one.model.outputs
+        seen = seen_rows(left)
+        errors[one.name] = Series(t[seen], (left / std)[seen], outputs, "std", source[seen])
+        mean = np.where(seen[:, None], poses.y[:, rows] - left, poses.predict(at.x)[0][:, rows])
+        predicted[one.name], covs[one.name] = Series(t, mean, outputs, "px", source, std), cov
+    if np.isfinite(poses.y[:, : len(names)]).any():
+        each = [_left_out(poses, at, slice(j, j + 1)) for j in range(len(names))]
+        encoders = np.column_stack([left / np.sqrt(cov[:, 0]) for left, cov in each])
+        errors["encoders"] = Series(t, encoders, names, "std", source)
     used = {"encoder": found.variance.tolist(), "scale": {s.name: 1.0 for s in poses.sightings}, "motion": "none"}
+    offset = Series(t, np.tile(found.offset, (len(t), 1)), names, "rad", source)
     text = f"{len(t)} still poses, each estimated separately"
     return Estimate(
         settings.method,
-        Series(t, at.x, names, "rad", poses.source_ns),
-        Series(t, np.zeros(at.x.shape), names, "rad/s", poses.source_ns),
+        Series(t, at.x, names, "rad", source),
+        Series(t, np.zeros(at.x.shape), names, "rad/s", source),
         _covariance(found, at, body),
         errors, at.cost, evidence.used, predicted, covs, used,
-        Series(t, offset, names, "rad", poses.source_ns) if found.free.any() else None,
+        offset if found.offset_var.any() else None,
         (*evidence.faults, *faults(names, found, float(t[0]))),
         (*evidence.findings, *found.findings, Finding("info", text)),
     )  # fmt: skip
@@ -66,40 +73,26 @@ def _covariance(found: Encoding, at: Solved, body: BodyModel) -> Array:
 
     Errors in the poses that the tracks were learned from are common to all tracks, so they add to it, too.
     """
-    std = np.array(body.provenance.get("pose_std", [0.0] * at.x.shape[1]), float)
-    if std.shape != at.x.shape[1:]:
-        raise ModelError(f"provenance.pose_std: {len(std)} numbers for {at.x.shape[1]} joints; fit the body again")
-    common = np.square(std)
-    lean = at.cov * (at.encoder_weight / found.variance)[:, None, :]
-    return np.asarray(at.cov + np.diag(common) + np.einsum("pij,j,pkj->pik", lean, found.offset_var, lean))
+    m = at.x.shape[1]
+    std = np.array(body.provenance.get("pose_std", [0.0] * m), float)
+    if std.shape != (m,):
+        raise ModelError(f"provenance.pose_std: {len(std)} numbers for {m} joints; fit the body again")
+    lean = at.cov * (at.weight / at.var)[:, None, :m]
+    return np.asarray(at.cov + np.diag(np.square(std)) + (lean * found.offset_var) @ lean.swapaxes(1, 2))
 
 
-def _predictions(poses: Poses, at: Solved, sighting: Sighting, columns: slice) -> tuple[Series, Series, Array]:
-    """A track's leave-one-out errors, predicted positions and their covariance (P,2,2) at each pose.
+def _left_out(poses: Poses, at: Solved, rows: slice) -> tuple[Array, Array]:
+    """Leave-one-out errors (P,D) of rows of readings, NaN where missing, and their predicted covariance (P,D,D).
 
     With H = J P Jᵀ, R the noise and r the residual, the one left out has the residual R (R − H)⁻¹ r, of covariance R (R
     − H)⁻¹ R (Rasmussen & Williams 5.12 for one block).
     """
-    jac, r = at.jac[:, columns], at.r[:, columns]
-    noise = np.einsum("pk,kl->pkl", at.var[:, columns], np.eye(r.shape[1]))
-    seen: Array = np.asarray(np.isfinite(poses.y[:, columns]).all(axis=1))
-    weighed = noise / np.maximum(at.weight[:, columns], 1e-12)[:, None, :]
+    jac, eye = at.jac[:, rows], np.eye(rows.stop - rows.start)
+    seen = seen_rows(poses.y[:, rows])[:, None, None]
+    noise = at.var[:, None, rows] * eye
+    weighed = noise / np.maximum(at.weight[:, None, rows], 1e-12)
     inside = jac @ at.cov @ jac.swapaxes(1, 2)
-    gain = np.linalg.inv(np.where(seen[:, None, None], weighed - inside, np.eye(r.shape[1])))
-    left = np.where(seen[:, None], np.einsum("pij,pjk,pk->pi", weighed, gain, r), 0.0)
-    cov = np.where(seen[:, None, None], weighed @ gain @ weighed - weighed + noise, inside + noise)
-    std = np.sqrt(np.einsum("pkk->pk", cov))
-    mean = np.where(seen[:, None], poses.y[:, columns] - left, poses.predict(at.x)[0][:, columns])
-    names, t, source = sighting.model.outputs, poses.t, poses.source_ns
-    errors = Series(t[seen], (left / std)[seen], names, "std", source[seen])
-    return errors, Series(t, mean, names, "px", source, std), cov
-
-
-def _encoder_errors(poses: Poses, found: Encoding, at: Solved) -> Array:
-    """Leave-one-out error (P,M) of each reading, in standard deviations; NaN where missing."""
-    known = np.isfinite(poses.z)
-    weighed = found.variance / np.maximum(at.encoder_weight, 1e-12)
-    inside = np.einsum("pmm->pm", at.cov)
-    left = np.where(known, poses.z - found.offset - at.x, np.nan) * weighed / np.maximum(weighed - inside, 1e-18)
-    spread = weighed * inside / np.maximum(weighed - inside, 1e-18) + found.variance
-    return np.asarray(left / np.sqrt(spread))
+    gain = np.linalg.inv(np.where(seen, weighed - inside, eye))
+    left = (weighed @ gain @ at.r[:, rows, None])[..., 0]
+    cov = np.where(seen, weighed @ gain @ weighed - weighed + noise, inside + noise)
+    return np.where(seen[:, 0], left, np.nan), cov

@@ -6,6 +6,7 @@ outliers lose influence with distance (the weight of a row is 1, then GATE²/d²
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,37 +22,47 @@ GUESSES, CANDIDATES = 4, 400
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """P poses: t (P,) s · source_ns · encoders z (P,M) rad, NaN if missing · positions y, var (P,K) of all tracks, px,
-    px².
+    """P poses: t (P,) s · source_ns · readings y (P,R), NaN if missing, with variances var (P,R).
 
-    The prior of an angle is `centre` (M,) with std `span` (M,) rad: the range in which the body's tracks were learned,
-    or else the range of encoder readings. rows {sighting: its columns of K}.
+    The first M rows are encoders, rad; those of each sighting follow, px. The prior of an angle is `centre` (M,) with
+    std `span` (M,) rad: the range in which the body's tracks were learned, or else the range of encoder readings.
     """
 
     t: Array
     source_ns: Array
-    z: Array
     y: Array
     var: Array
     sightings: tuple[Sighting, ...]
-    rows: tuple[slice, ...]
     centre: Array
     span: Array
 
+    def rows(self) -> list[slice]:
+        """The rows of each sighting."""
+        return _columns(len(self.centre), self.sightings)
+
+    def encoded(self, variance: Array, offset: Array) -> "Poses":
+        """The same with encoders of `variance` (M,) rad², their `offset` (M,) rad subtracted."""
+        m, y, var = len(offset), self.y.copy(), self.var.copy()
+        y[:, :m] -= offset
+        var[:, :m] = variance
+        return replace(self, y=y, var=var)
+
+    def some(self, chosen: Array) -> "Poses":
+        """Some of the poses."""
+        return replace(self, **{name: getattr(self, name)[chosen] for name in ("t", "source_ns", "y", "var")})
+
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """Predict at x (P,M) rad: positions (P,K) · Jacobian (P,K,M) · the model's variance (P,K)."""
-        parts = [sighting.model.predict(x) for sighting in self.sightings]
-        if not parts:
-            return np.empty((len(x), 0)), np.empty((len(x), 0, x.shape[1])), np.empty((len(x), 0))
-        g, jac, var = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
+        """Predict at x (P,M) rad: readings (P,R) · Jacobian (P,R,M) · the model's variance (P,R)."""
+        encoders = x, np.broadcast_to(np.eye(x.shape[1]), (*x.shape, x.shape[1])), np.zeros(x.shape)
+        parts = zip(encoders, *(sighting.model.predict(x) for sighting in self.sightings), strict=True)
+        g, jac, var = (np.concatenate(part, axis=1) for part in parts)
         return g, jac, var
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """At each pose: x (P,M) rad · cov (P,M,M) · residuals (P,K), Jacobian (P,K,M), variance (P,K), weights 0..1 of the
-    positions · encoder residuals e (P,M) rad and their weights · cost (P,), nats: minus the log density of the
-    readings.
+    """At each pose: x (P,M) rad · cov (P,M,M) · of the readings, residuals r (P,R), Jacobian (P,R,M), variance (P,R)
+    and weights 0..1 · cost (P,), nats: minus the log density of the readings.
     """
 
     x: Array
@@ -60,59 +71,50 @@ class Solved:
     jac: Array
     var: Array
     weight: Array
-    e: Array
-    encoder_weight: Array
     cost: Array
 
 
 def gathered(encoders: Encoders | None, sightings: Sequence[Sighting], body: BodyModel) -> Poses:
     """Collect the readings of every pose, by time."""
-    clocks = [s.t for s in sightings] + ([] if encoders is None else [encoders.t])
-    t = union(*clocks)
-    m, sources = len(body.joints), np.zeros(len(t), np.int64)
-    z = np.full((len(t), m), np.nan)
-    width = [s.values.shape[1] for s in sightings]
-    ends = np.cumsum([0, *width]).tolist()
-    rows = tuple(map(slice, ends, ends[1:]))
-    y, var = np.full((len(t), ends[-1]), np.nan), np.ones((len(t), ends[-1]))
-    for sighting, columns in zip(sightings, rows, strict=True):
-        at = np.searchsorted(t, sighting.t)
-        y[at, columns], var[at, columns], sources[at] = sighting.values, sighting.var, sighting.source_ns
-    if encoders is not None:
-        at = np.searchsorted(t, encoders.t)
-        z[at], sources[at] = encoders.values, encoders.source_ns
+    heard, columns = () if encoders is None else (encoders,), _columns(len(body.joints), sightings)
+    t = union(*(sense.t for sense in (*sightings, *heard)))
+    width = columns[-1].stop if columns else len(body.joints)
+    y, var, sources = np.full((len(t), width), np.nan), np.ones((len(t), width)), np.zeros(len(t), np.int64)
+    for sense, own in zip((*sightings, *heard), (*columns, slice(0, len(body.joints))), strict=False):
+        at = np.searchsorted(t, sense.t)
+        y[at, own], sources[at] = sense.values, sense.source_ns
+        var[at, own] = sense.var if isinstance(sense, Sighting) else 1.0
     known = [model.samples for model in body.senses.values() if hasattr(model, "samples")]
-    explored = np.concatenate(known) if known else z
+    explored = np.concatenate(known) if known else y[:, : len(body.joints)]
     low, high = (np.nan_to_num(end.reduce(explored, axis=0, initial=np.nan)) for end in (np.fmin, np.fmax))
     # a joint that was hardly explored may still be anywhere near
-    span = np.maximum(high - low, 0.1)
-    return Poses(t, sources, z, y, var, tuple(sightings), rows, (low + high) / 2.0, span)
+    return Poses(t, sources, y, var, tuple(sightings), (low + high) / 2.0, np.maximum(high - low, 0.1))
 
 
-def solved(poses: Poses, encoder: Array, offset: Array, start: Array | None = None) -> Solved:
-    """Most likely angles of every pose for encoder variances (M,) rad² and offsets (M,) rad, from x (P,M) if given."""
+def _columns(first: int, sightings: Sequence[Sighting]) -> list[slice]:
+    """Columns of each sighting beside each other, the first one's from `first` on."""
+    ends = np.cumsum([first, *(s.values.shape[1] for s in sightings)]).tolist()
+    return [slice(*each) for each in pairwise(ends)]
+
+
+def solved(poses: Poses, start: Array | None = None) -> Solved:
+    """Most likely angles of every pose, from x (P,M) rad if given."""
     if start is not None:
-        return descended(poses, encoder, offset, start)
-    z = poses.z - offset
-    first = np.where(np.isfinite(z), z, poses.centre)
-    best = descended(poses, encoder, offset, first)
-    loose = np.flatnonzero(~np.isfinite(z).all(axis=1) & np.isfinite(poses.y).any(axis=1))
+        return descended(poses, start)
+    z = poses.y[:, : len(poses.centre)]
+    best = descended(poses, np.where(np.isfinite(z), z, poses.centre))
+    loose = np.flatnonzero(~np.isfinite(z).all(axis=1) & np.isfinite(poses.y[:, z.shape[1] :]).any(axis=1))
     if not len(loose):
         return best
-    some = subset(poses, loose)
-    for guess in guesses(some, encoder, offset):
-        tried = descended(some, encoder, offset, guess)
+    some = poses.some(loose)
+    for guess in _guesses(some):
+        tried = descended(some, guess)
         better = tried.cost < best.cost[loose] - 1e-9
-        best = merged(best, tried, loose[better], better)
+        best = _merged(best, tried, loose[better], better)
     return best
 
 
-def subset(poses: Poses, chosen: Array) -> Poses:
-    """Some of the poses."""
-    return replace(poses, **{name: getattr(poses, name)[chosen] for name in ("t", "source_ns", "z", "y", "var")})
-
-
-def merged(whole: Solved, some: Solved, rows: Array, chosen: Array) -> Solved:
+def _merged(whole: Solved, some: Solved, rows: Array, chosen: Array) -> Solved:
     """The solution with `rows` replaced by those chosen (bool) of another."""
     columns = {name: values.copy() for name, values in vars(whole).items()}
     for name, values in columns.items():
@@ -120,77 +122,60 @@ def merged(whole: Solved, some: Solved, rows: Array, chosen: Array) -> Solved:
     return Solved(**columns)
 
 
-def guesses(poses: Poses, encoder: Array, offset: Array) -> Array:
+def _guesses(poses: Poses) -> Array:
     """Explored postures (G,P,M) rad nearest to the readings of each pose."""
-    known = [s.model.samples for s in poses.sightings if hasattr(s.model, "samples")]
-    x = np.concatenate(known)
+    x = np.concatenate([s.model.samples for s in poses.sightings if hasattr(s.model, "samples")])
     x = x[np.unique(np.linspace(0, len(x) - 1, min(len(x), CANDIDATES)).round().astype(int))]
-    g = poses.predict(x)[0]
+    g, m = poses.predict(x)[0], x.shape[1]
+    spread = np.concatenate([poses.span**2, np.maximum(np.var(g[:, m:], axis=0), 1e-12)])
     far = np.zeros((len(poses.t), len(x)))
-    for k in range(g.shape[1]):
-        seen = np.isfinite(poses.y[:, k])
-        far[seen] += (poses.y[seen, k, None] - g[None, :, k]) ** 2 / np.maximum(np.var(g[:, k]), 1e-12)
-    z = poses.z - offset
-    apart = (z[:, None] - x[None]) ** 2 / poses.span**2
-    far += np.where(np.isfinite(apart), apart, 0.0).sum(axis=2)
+    for y, places, var in zip(poses.y.T, g.T, spread, strict=True):
+        far += np.nan_to_num((y[:, None] - places) ** 2 / var)
     nearest = np.argsort(far, axis=1, kind="stable")[:, :GUESSES].T
-    return np.where(np.isfinite(z), z, x[nearest])
+    return np.where(np.isfinite(poses.y[:, :m]), poses.y[:, :m], x[nearest])
 
 
-def descended(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
+def descended(poses: Poses, x: Array) -> Solved:
     """Gauss–Newton with damping for each pose, raised where a step does not lower the cost at fixed variances."""
-    now, damp = _at(poses, encoder, offset, x), np.full(len(x), 1e-6)
+    now, damp = _at(poses, x), np.full(len(x), 1e-6)
     active = np.ones(len(x), bool)
     for _ in range(60):
-        step = _step(poses, encoder, now, damp)
-        tried = _at(poses, encoder, offset, np.where(active[:, None], now.x + step, now.x))
-        before, after = (_misfit(poses, at, now.var, encoder) for at in (now, tried))
-        better = active & (after <= before + 1e-12)
+        step = _step(poses, now, damp)
+        tried = _at(poses, np.where(active[:, None], now.x + step, now.x))
+        better = active & (_misfit(poses, tried, now.var) <= _misfit(poses, now, now.var) + 1e-12)
         size = np.abs(step) / np.sqrt(np.einsum("pmm->pm", now.cov))
         resting = size.max(axis=1) < 1e-7  # standard deviations
         damp = np.where(better, np.maximum(damp * 0.1, 1e-9), damp * 10.0)
-        now = merged(now, tried, np.flatnonzero(better), better)
+        now = _merged(now, tried, np.flatnonzero(better), better)
         active &= ~resting & (damp < 1e9)
         if not active.any():
             break
     return now
 
 
-def _step(poses: Poses, encoder: Array, now: Solved, damp: Array) -> Array:
+def _step(poses: Poses, now: Solved, damp: Array) -> Array:
     """The Gauss–Newton step (P,M), damped along the posterior's axes (Levenberg–Marquardt)."""
-    pull = np.einsum("pkm,pk->pm", now.jac, now.weight * now.r / now.var)
-    pull += now.encoder_weight * now.e / encoder + (poses.centre - now.x) / poses.span**2
+    pull = np.einsum("prm,pr->pm", now.jac, now.weight * now.r / now.var) + (poses.centre - now.x) / poses.span**2
     information = np.linalg.inv(now.cov)
     information += damp[:, None, None] * np.eye(now.x.shape[1]) * np.einsum("pmm->pm", information)[:, None]
     return np.asarray(np.linalg.solve(information, pull[..., None])[..., 0])
 
 
-def _at(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
+def _at(poses: Poses, x: Array) -> Solved:
     """Residuals, weights, covariance and cost at x (P,M)."""
     g, jac, model = poses.predict(x)
-    var, seen, known = model + poses.var, np.isfinite(poses.y), np.isfinite(poses.z)
-    r, e = np.where(seen, poses.y - g, 0.0), np.where(known, poses.z - offset - x, 0.0)
-    weight, encoder_weight = weights(r, var) * seen, weights(e, encoder) * known
-    information = np.einsum("pki,pk,pkj->pij", jac, weight / var, jac)
-    information += np.eye(x.shape[1]) * (encoder_weight / encoder + poses.span**-2.0)[:, None]
-    found = Solved(x, np.linalg.inv(information), r, jac, var, weight, e, encoder_weight, np.empty(len(x)))
-    logs = (np.log(2.0 * np.pi * var) * seen).sum(axis=1) + (np.log(2.0 * np.pi * encoder) * known).sum(axis=1)
-    logs += np.linalg.slogdet(information)[1] + 2.0 * np.log(poses.span).sum()
-    return replace(found, cost=_misfit(poses, found, var, encoder) + 0.5 * logs)
+    var, seen = model + poses.var, np.isfinite(poses.y)
+    r = np.where(seen, poses.y - g, 0.0)
+    weight = seen / np.maximum(np.square(r) / (GATE**2 * var), 1.0)
+    information = (jac * (weight / var)[..., None]).swapaxes(1, 2) @ jac + np.diag(poses.span**-2.0)
+    found = Solved(x, np.linalg.inv(information), r, jac, var, weight, np.empty(len(x)))
+    logs = (np.log(2.0 * np.pi * var) * seen).sum(axis=1) + 2.0 * np.log(poses.span).sum()
+    logs += np.linalg.slogdet(information)[1]
+    return replace(found, cost=_misfit(poses, found, var) + 0.5 * logs)
 
 
-def _misfit(poses: Poses, at: Solved, var: Array, encoder: Array) -> Array:
-    """Half the robust squares (P,) of all readings and of the prior, with variances (P,K) px² and (M,) rad²."""
-    away = np.square((at.x - poses.centre) / poses.span)
-    return np.asarray(costs(at.r, var).sum(axis=1) + costs(at.e, encoder).sum(axis=1) + 0.5 * away.sum(axis=1))
-
-
-def weights(r: Array, var: Array) -> Array:
-    """Weights of residuals with their variances: 1 within the gate of d standard deviations, GATE²/d² beyond."""
-    return np.asarray(1.0 / np.maximum(np.square(r) / (GATE**2 * var), 1.0))
-
-
-def costs(r: Array, var: Array) -> Array:
-    """Half the robust squares of residuals with their variances, nats."""
-    over = np.square(r) / (GATE**2 * var)
-    return np.asarray(0.5 * GATE**2 * (np.minimum(over, 1.0) + np.log(np.maximum(over, 1.0))))
+def _misfit(poses: Poses, at: Solved, var: Array) -> Array:
+    """Half the robust squares (P,) of all readings, with variances `var` (P,R), and of the prior, in nats."""
+    over = np.square(at.r) / (GATE**2 * var)
+    robust = GATE**2 * (np.minimum(over, 1.0) + np.log(np.maximum(over, 1.0)))
+    return np.asarray(0.5 * (robust.sum(axis=1) + np.square((at.x - poses.centre) / poses.span).sum(axis=1)))
