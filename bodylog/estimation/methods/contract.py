@@ -7,11 +7,6 @@ from ...body_model import BodyModel
 from ...settings import Estimation
 from ...types import Capabilities, Estimate, Features
 
-SENSES = frozenset({"encoders", "vision", "touch"})
-"""Groups of senses."""
-VARIANCES = frozenset({"sigma_encoders", "sigma_vision", "sigma_touch", "process"})
-"""Settings that are variances."""
-
 
 class Method(NamedTuple):
     """One `--method`: its function, what it can do, the senses it can use, the settings it obeys.
@@ -23,8 +18,8 @@ class Method(NamedTuple):
 
     estimate: Callable[[Features, BodyModel, Estimation], Estimate]
     can: Capabilities
-    senses: frozenset[str] = SENSES
-    heeds: frozenset[str] = frozenset({"precision", "bias", *VARIANCES})
+    senses: frozenset[str] = frozenset({"encoders", "vision", "touch"})
+    heeds: frozenset[str] = frozenset({"precision", "bias", "process", "sigma_encoders", "sigma_vision", "sigma_touch"})
     literal_touch: bool = False
     encoder_model: bool = False
     live: bool = False

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...settings import Estimation
-from ...types import Array, Capabilities, Estimate, Fault, Features, Finding
+from ...types import Array, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
 from ..faults.offset_step import free_energy
 from ..faults.screening import screened
@@ -27,7 +27,6 @@ from ..noise.motion_order import with_preferred_order
 from ..noise.noise_model import resolve, warned, weighed
 from ..noise.posture_prior import learn_prior
 from . import results
-from .contract import Method
 from .results import Beliefs
 
 S = TypeVar("S", bound=Solution)
@@ -41,10 +40,6 @@ def laplace(features: Features, body: BodyModel, settings: Estimation) -> Estima
 def ekf(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """The plain extended Kalman filter: the same, but frames are linearised once, at the prior mean."""
     return _filtered(features, body, settings, "ekf", "prior")
-
-
-LAPLACE = Method(laplace, Capabilities(), live=True)
-EKF = Method(ekf, Capabilities())
 
 
 def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:

@@ -7,12 +7,11 @@ import numpy as np
 from ...body_model import BodyModel
 from ...errors import UsageError
 from ...settings import Estimation
-from ...types import Array, Capabilities, Estimate, Features
+from ...types import Array, Estimate, Features
 from ..faults.screening import screened
 from ..measurements.gather import start
 from ..measurements.timeline import timeline
 from . import results
-from .contract import Method
 from .grid import RATE, at_instants, on_grid
 from .results import Beliefs
 
@@ -35,13 +34,6 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     used = {"process": PROCESS, "encoder": NOISE}
     beliefs = Beliefs(z, cov, every, before[held], before_cov, errors, {}, used)
     return results.estimate("kalman", body, evidence, line, beliefs)
-
-
-METHOD = Method(
-    estimate,
-    Capabilities(moves=False, density=False, learns_noise=False, repairs=False, from_paper=True),
-    senses=frozenset({"encoders"}), heeds=frozenset(),
-)  # fmt: skip
 
 
 def _encoders(body: BodyModel, settings: Estimation) -> tuple[str, ...]:

@@ -11,12 +11,11 @@ import numpy as np
 from ...body_model import BodyModel
 from ...errors import UsageError
 from ...settings import Estimation
-from ...types import Array, Capabilities, Estimate, Features, Finding
+from ...types import Array, Estimate, Features, Finding
 from ..measurements.gather import silent
 from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline
 from . import results
-from .contract import VARIANCES, Method
 from .grid import GAINS, Plan, at_instants, innovations, plan_for
 from .results import Beliefs
 
@@ -38,12 +37,6 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     findings = (*findings, *_without_encoders(plan, evidence, body.joints))
     beliefs = _beliefs(plan, evidence, line, x, cov, nats, findings, explicit)
     return results.estimate("predictive-coding", body, evidence, line, beliefs)
-
-
-METHOD = Method(
-    estimate, Capabilities(moves=False, density=False, repairs=False, from_paper=True),
-    heeds=frozenset({"precision", "lambda", *VARIANCES} - {"process"}), literal_touch=True, encoder_model=True,
-)  # fmt: skip
 
 
 def implicitly(plan: Plan) -> tuple[Array, Array, Array]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...settings import Estimation
-from ...types import Array, Capabilities, Estimate, Features
+from ...types import Array, Estimate, Features
 from ..inference import adjoint
 from ..inference.convergence import RESTING, SWEEPS, DidNotConverge, sure
 from ..inference.filter_records import Readings
@@ -25,7 +25,6 @@ from ..inference.tangents import Tangents
 from ..inference.walk import walk
 from ..noise.correlated_noise import WHOLE
 from . import results
-from .contract import Method
 from .filtering import drifts, gathered, lost, settled, shown, tuned
 from .results import Beliefs
 
@@ -64,9 +63,6 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         tuple(lost(problem, body.joints, smooth)),
     )  # fmt: skip
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
-
-
-METHOD = Method(estimate, Capabilities(causal=False))
 
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
