@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..body_model import BodyModel
-from ..estimation.measurements.touch import LEAST
+from ..estimation.measurements.touch import has_weight
 from ..perception.touch.matching import match_touches as synchrony
 from ..types import Array, Features
 from .beliefs import Belief, noisier, ours
@@ -73,7 +73,7 @@ def displaced(log: ObservedLog, delay: float, share: float, side: float) -> Obse
 
 def heeded(features: Features) -> bool:
     """Whether any touch has a weight: an estimate rejects a requested sense without readings."""
-    return any(pair.weight > LEAST for pair in features.synchrony)
+    return any(has_weight(pair) for pair in features.synchrony)
 
 
 def drift(log: ObservedLog, body: BodyModel, alone: Belief) -> Drift:

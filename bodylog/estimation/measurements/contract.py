@@ -1,5 +1,6 @@
 """The interface of a sense: one file that lists its measurements and reads them."""
 
+from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 from ...body_model import BodyModel
@@ -26,3 +27,8 @@ class Sense(Protocol):
 
     def read(self, name: str, features: Features, body: BodyModel, whole: bool) -> Measured:
         """Read the measurements of one name; `whole`: those of one event count as one."""
+
+
+def health(seen: int, used: int, reasons: Mapping[str, int], gap: float = 0.0) -> Health:
+    """Counts of use, without the reasons of no rejection; gap: the largest, in s."""
+    return Health(seen, int(used), {reason: int(count) for reason, count in reasons.items() if count}, gap)

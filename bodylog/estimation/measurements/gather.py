@@ -1,6 +1,6 @@
 """Measurements of all senses: encoder rows by joint name, sightings by track, and counts of what was left out."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +9,9 @@ from ...body_model import BodyModel
 from ...errors import EvidenceError, LogError, ModelError, UsageError
 from ...settings import Estimation
 from ...types import Array, Features, Finding, Health, Series
-from .contract import Sense
+from .contract import Sense, health
 from .long_arrays import any_of_row, rows
-from .records import Encoders, Evidence, Sighting
+from .records import Encoders, Evidence
 from .touch import Touch
 from .track import Track, ascending, gap
 
@@ -20,36 +20,46 @@ SENSES: Mapping[str, Sense] = {
     "touch": Touch(),
 }
 """Senses other than encoders, in the order of gathering."""
-FIRST = "camera"
-"""Name of the first camera, whose tracks have no prefix."""
 
 
 def gather(features: Features, body: BodyModel, settings: Estimation, whole: bool = True) -> Evidence:
     """Gather the measurements that the settings ask for; `whole`: all frames of one touch count as one sighting."""
-    visual = [name for sense in SENSES.values() if sense.group == "vision" for name in sense.names(features, body)]
-    wanted, joints = chosen(visual, body, settings), features.joints
-    encoders, used = _encoders(joints, body.joints, wanted)
-    sightings = list[Sighting]()
-    for sense in SENSES.values():
-        for name in (name for name in sense.names(features, body) if name in wanted):
-            found = sense.read(name, features, body, whole)
-            sightings.append(found.sighting)
-            used[name] = found.health
-    read = np.empty((0, len(body.joints))) if joints is None else joints.values[:, columns(joints, body.joints)]
-    return Evidence(encoders, tuple(sightings), _first(joints, body.joints), used, (), read=read, joints=body.joints)
+    senses = [(sense, name) for sense in SENSES.values() for name in sense.names(features, body)]
+    wanted = chosen([name for sense, name in senses if sense.group == "vision"], body, settings)
+    joints, encoders, used = features.joints, None, {"encoders": Health(0, 0)}
+    read = np.empty((0, len(body.joints)))
+    if joints is not None:
+        read = joints.values[:, columns(joints, body.joints)]
+        encoders, used["encoders"] = _encoders(joints, read, body.joints, wanted)
+    found = {name: sense.read(name, features, body, whole) for sense, name in senses if name in wanted}
+    used |= {name: one.health for name, one in found.items()}
+    return Evidence(encoders, tuple(one.sighting for one in found.values()), used, (), read=read, joints=body.joints)
 
 
 def sound(evidence: Evidence, features: Features, body: BodyModel, settings: Estimation) -> Evidence:
     """Keep the senses with measurements; EvidenceError where a named one, or every one, has none."""
     used, encoders = evidence.used, evidence.encoders
-    findings = _check(
-        used, settings.senses or (), features, silent(body.joints, encoders), chosen((), body, settings)
-    )
+    late = "touch" in used and "not synchronous" in used["touch"].rejected
+    read = set(features.joints.names if features.joints is not None else ())
+    members = {name: {"encoders"} for name in read.difference(silent(body.joints, encoders))}
+    members["vision"] = used.keys() - {"encoders", "touch"}
+    for name in settings.senses or ():
+        kept = any(used[member].used for member in members.get(name, {name}) if member in used)
+        if not kept and not (name == "touch" and late):
+            raise EvidenceError(
+                f"{name}: requested, but without measurements ({_counts(used)}; tracks: "
+                f"{', '.join(features.tracks) or 'none'}); leave it out of the senses, or name its topic"
+            )
     # touches out of time are a result: they stay, with their small weights
-    kept = tuple(s for s in evidence.sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
-    if not kept and (encoders is None or not np.isfinite(encoders.values).any()):
+    sightings = tuple(s for s in evidence.sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
+    if not sightings and (encoders is None or not np.isfinite(encoders.values).any()):
         raise EvidenceError(f"no sense has measurements: {_counts(used)}; give a log with joints or an effector")
-    return replace(evidence, sightings=kept, findings=(*evidence.findings, *findings))
+    unused = {name for name, one in used.items() if one.seen and not one.used and name not in (settings.senses or ())}
+    unused -= set() if read & chosen((), body, settings) else {"encoders"}
+    outcome = {"touch": "not synchronous with the images"} if late else {}
+    texts = (f"{n}: nothing usable ({_words(used[n])}), {outcome.get(n, 'left out')}" for n in used if n in unused)
+    findings = tuple(Finding("warning", text) for text in texts)
+    return replace(evidence, sightings=sightings, findings=(*evidence.findings, *findings))
 
 
 def silent(names: tuple[str, ...], encoders: Encoders | None) -> list[str]:
@@ -71,32 +81,26 @@ def chosen(visual: Iterable[str], body: BodyModel, settings: Estimation) -> set[
     return spread(groups if settings.senses is None else settings.senses) - spread(settings.without)
 
 
-def _encoders(
-    joints: Series | None, names: tuple[str, ...], wanted: set[str]
-) -> tuple[Encoders | None, dict[str, Health]]:
-    if joints is None:
-        return None, {"encoders": Health(0, 0)}
-    values = joints.values[:, columns(joints, names)].astype(float)
-    known = np.isfinite(values)
+def _encoders(joints: Series, read: Array, names: tuple[str, ...], wanted: set[str]) -> tuple[Encoders, Health]:
+    """The encoder rows of the joints `names` (M,), with values read (N,M); NaN for those not `wanted`."""
+    known = np.isfinite(read)
     # rows that hold only joints of other topics are no readings of these
     ours = rows(any_of_row(known) | ~any_of_row(np.isfinite(joints.values)))
-    t, source, values, known = joints.t[ours], joints.source_ns[ours], values[ours], known[ours]
+    t, source, values, known = joints.t[ours], joints.source_ns[ours], read[ours].astype(float), known[ours]
     rising, broken = ascending(t), ~any_of_row(known)
     used = [name in wanted for name in names]
     known = known & used
     values[~known] = np.nan
     keep = rows(rising & ~broken)
-    reasons = {"time runs backwards": int((~rising).sum()), "not a number": int((rising & broken).sum())}
-    for index in np.flatnonzero(used):
-        reasons[f"without {names[index]}"] = int((~known[keep, index]).sum())
-    use = int(any_of_row(known[keep]).sum())
-    health = Health(len(t), use, {reason: count for reason, count in reasons.items() if count}, gap(t[keep]))
-    return Encoders(t[keep], values[keep], source[keep]), {"encoders": health}
+    reasons = {"time runs backwards": (~rising).sum(), "not a number": (rising & broken).sum()}
+    reasons |= {f"without {names[j]}": (~known[keep, j]).sum() for j in np.flatnonzero(used)}
+    found = Encoders(t[keep], values[keep], source[keep])
+    return found, health(len(t), any_of_row(known[keep]).sum(), reasons, gap(found.t))
 
 
 def camera(track: str) -> str:
-    """Name of a track's camera."""
-    return track.rpartition("/")[0] or FIRST
+    """Name of a track's camera; tracks of the first one, `camera`, have no prefix."""
+    return track.rpartition("/")[0] or "camera"
 
 
 def columns(joints: Series, names: tuple[str, ...]) -> list[int]:
@@ -110,58 +114,24 @@ def columns(joints: Series, names: tuple[str, ...]) -> list[int]:
     return [joints.names.index(name) for name in names]
 
 
-def _first(joints: Series | None, names: tuple[str, ...]) -> Array:
-    """First finite reading (M,) of each joint, used or not: the initial belief."""
-    first = np.full(len(names), np.nan)
-    if joints is not None:
-        for index, column in enumerate(joints.values[:, columns(joints, names)].T):
-            known = np.isfinite(column)
-            first[index] = column[known.argmax()] if known.any() else np.nan
-    return first
-
-
-def _check(
-    used: Mapping[str, Health], named: tuple[str, ...], features: Features, silent: Sequence[str], wanted: set[str]
-) -> tuple[Finding, ...]:
-    """EvidenceError for a named sense or joint without measurements; a warning for others."""
-    visual = {name for name in used if name not in ("encoders", "touch")}
-    late = "touch" in used and "not synchronous" in used["touch"].rejected
-    for name in named:
-        joint = features.joints is not None and name in features.joints.names
-        members = visual if name == "vision" else {"encoders"} if joint and name not in silent else {name}
-        kept = any(used[member].used for member in members if member in used)
-        if not kept and not (name == "touch" and late):
-            raise EvidenceError(
-                f"{name}: requested, but without measurements ({_counts(used)}; tracks: "
-                f"{', '.join(features.tracks) or 'none'}); leave it out of the senses, or name its topic"
-            )
-    empty = [name for name, health in used.items() if health.seen and not health.used and name not in named]
-    if not wanted.intersection(features.joints.names if features.joints is not None else ()):
-        empty = [name for name in empty if name != "encoders"]
-    outcome = {name: "not synchronous with the images" if name == "touch" and late else "left out" for name in empty}
-    texts = (f"{name}: nothing usable ({_words(used[name])}), {outcome[name]}" for name in empty)
-    return tuple(Finding("warning", text) for text in texts)
-
-
 def _counts(used: Mapping[str, Health]) -> str:
-    return "; ".join(f"{name}: {_words(health)}" for name, health in used.items()) or "no sense known to the body"
+    return "; ".join(f"{name}: {_words(one)}" for name, one in used.items()) or "no sense known to the body"
 
 
-def _words(health: Health) -> str:
-    reasons = ", ".join(f"{count} {reason}" for reason, count in health.rejected.items())
-    return f"{health.used} of {health.seen} used" + (f", {reasons}" if reasons else "")
+def _words(found: Health) -> str:
+    return ", ".join([f"{found.used} of {found.seen} used", *(f"{n} {why}" for why, n in found.rejected.items())])
 
 
 def start(evidence: Evidence, settings: Estimation, names: tuple[str, ...]) -> Array:
-    """Initial mean (M,) rad: as set, or the first readings."""
+    """Initial mean (M,) rad: as set, or each joint's first finite reading, used or not."""
     if settings.start is not None:
         if len(settings.start) != len(names):
             raise UsageError(f"start: {len(settings.start)} angles given, the body has {len(names)} joints")
         return np.array(settings.start, float)
-    if np.isnan(evidence.first).any():
-        unknown = ", ".join(name for name, angle in zip(names, evidence.first, strict=True) if np.isnan(angle))
+    known = np.isfinite(evidence.read)
+    if unknown := [name for j, name in enumerate(names) if not known[:, j].any()]:
         raise LogError(
-            f"joints: no reading of {unknown}; type in robot.toml [estimate] start = "
+            f"joints: no reading of {', '.join(unknown)}; type in robot.toml [estimate] start = "
             f"[{', '.join(['0.0'] * len(names))}], the angles in rad of {', '.join(names)}"
         )
-    return evidence.first
+    return np.asarray(evidence.read[known.argmax(axis=0), np.arange(len(names))])

@@ -1,32 +1,14 @@
 """Joint readings outside the limits of a URDF."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from math import tau
 
 import numpy as np
 
 from ...kinematics.robot import Limits
 from ...types import Array, Finding, Series
-from .joints_alone import NAMED, STEP
-
-
-@dataclass(frozen=True)
-class _Outside:
-    """A joint's readings beyond its limits: count, of how many, largest and 99 % quantile of the excess, since (s)."""
-
-    name: str
-    limits: Limits
-    count: int
-    readings: int
-    worst: float
-    typical: float
-    since: float
-
-    @property
-    def of_another_unit(self) -> bool:
-        """Whether the excess is larger than the range between the limits."""
-        return self.typical > self.limits.upper - self.limits.lower
+from .joints_alone import STEP
+from .wording import listed
 
 
 def limit_findings(joints: Series, limits: Mapping[str, Limits], source: str) -> Iterator[Finding]:
@@ -36,34 +18,27 @@ def limit_findings(joints: Series, limits: Mapping[str, Limits], source: str) ->
     beyond its limits, or if most joints are beyond theirs.
     """
     columns = dict(zip(joints.names, joints.values.T, strict=True))
-    known = [_outside(name, limits[name], joints.t, columns[name]) for name in columns if name in limits]
-    found = [one for one in known if one.count]
-    turned = any(one.typical > tau and one.limits.unit == "rad" for one in found)
-    other = turned or (len(found) > 1 and 2 * len(found) > len(known))
-    foreign = [one for one in found if other or one.of_another_unit]
-    for one in found:
-        if one not in foreign:
-            yield Finding("warning", f"joints: {_text(one, source)}")
+    excess = {name: _excess(y[np.isfinite(y)], limits[name]) for name, y in columns.items() if name in limits}
+    texts, typical, ranges = dict[str, str](), dict[str, float](), dict[str, float]()
+    for name, beyond in excess.items():
+        if (out := beyond > 0.0).any():
+            own, since = limits[name], joints.t[np.isfinite(columns[name])][out][0]
+            texts[name] = (
+                f"{name}: {out.sum()} of {len(beyond)} readings outside of {own.lower:.4g} to {own.upper:.4g} "
+                f"{own.unit} ({source}), by up to {beyond.max():.3g} {own.unit}, first at {since:.3f} s"
+            )
+            # single wild readings decide nothing about units
+            typical[name], ranges[name] = float(np.quantile(beyond, 0.99)), own.upper - own.lower
+    turned = any(typical[name] > tau and limits[name].unit == "rad" for name in texts)
+    other = turned or 2 * len(texts) > max(len(excess), 2)
+    foreign = [text for name, text in texts.items() if other or typical[name] > ranges[name]]
+    yield from (Finding("warning", f"joints: {text}") for text in texts.values() if text not in foreign)
     if foreign:
-        some = "; ".join(_text(one, source) for one in foreign[:NAMED])
-        more = f"; and {len(foreign) - NAMED} joints more" if len(foreign) > NAMED else ""
-        yield Finding("info", f"joints: other units or zeros than those of {source}, or another robot's: {some}{more}")
+        some = listed(foreign, " joints", "; ")
+        yield Finding("info", f"joints: other units or zeros than those of {source}, or another robot's: {some}")
 
 
-def _outside(name: str, limits: Limits, t: Array, y: Array) -> _Outside:
-    beyond = np.maximum(y - limits.upper, limits.lower - y)[np.isfinite(y)]
-    out = beyond > limits.rounding + STEP
-    if not out.any():
-        return _Outside(name, limits, 0, len(beyond), 0.0, 0.0, 0.0)
-    since = float(t[np.isfinite(y)][out][0])
-    # single wild readings decide nothing about units
-    worst, typical = np.quantile(beyond, [1.0, 0.99]).tolist()
-    return _Outside(name, limits, int(out.sum()), len(beyond), worst, typical, since)
-
-
-def _text(one: _Outside, source: str) -> str:
-    lower, upper, unit = one.limits.lower, one.limits.upper, one.limits.unit
-    return (
-        f"{one.name}: {one.count} of {one.readings} readings outside of {lower:.4g} to {upper:.4g} {unit}"
-        f" ({source}), by up to {one.worst:.3g} {unit}, first at {one.since:.3f} s"
-    )
+def _excess(y: Array, limits: Limits) -> Array:
+    """How far readings (N,) are beyond the limits; 0 within them, and where that is rounding or an encoder's step."""
+    beyond = np.maximum(y - limits.upper, limits.lower - y)
+    return np.where(beyond > limits.rounding + STEP, beyond, 0.0)

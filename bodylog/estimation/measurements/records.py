@@ -87,7 +87,7 @@ def mixed(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tuple[Arr
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """All measurements. `encoders` stay when unused (all NaN), for their clock; `first` (M,) rad, NaN if unknown.
+    """All measurements. `encoders` stay when unused (all NaN), for their clock.
 
     faults: sensors with faults, whose readings are removed · hypotheses: alternatives compared · read (N,M) rad: all
     encoder readings, unused ones included · joints: their names (M,).
@@ -95,7 +95,6 @@ class Evidence:
 
     encoders: Encoders | None
     sightings: tuple[Sighting, ...]
-    first: Array
     used: Mapping[str, Health]
     findings: tuple[Finding, ...]
     faults: tuple[Fault, ...] = ()

@@ -3,26 +3,20 @@
 import numpy as np
 
 from ...body_model import BodyModel
-from ...types import Array, Features, Health, Series
-from .contract import Measured
+from ...types import Array, Features, Series, Synchrony
+from .contract import Measured, health
 from .long_arrays import seen as rows_seen
 from .records import Sighting
 from .track import ascending
 
-LEAST = 1e-9
-"""A touch with less weight is ignored."""
 COUNTS = 1e-3
 """A touch with less weight, a thousandth of a synchronous one, is used but not counted as used."""
-NO_HAND = Series(np.empty(0), np.empty((0, 2)), ("u", "v"), "px", np.empty(0, np.int64))
 
 
 class Touch:
     """The sense of touch: a synchronous stroke locates the effector at the hand that strokes it."""
 
-    @property
-    def group(self) -> str:
-        """Touch."""
-        return "touch"
+    group = "touch"
 
     def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
         """Touch, where the body predicts the effector."""
@@ -31,10 +25,10 @@ class Touch:
     def read(self, name: str, features: Features, body: BodyModel, whole: bool = True) -> Measured:
         """Read the effector's positions by touch."""
         found, count = sightings(features, body, whole)
-        seen = 0 if features.touches is None else len(features.touches)
+        seen = len(features.touches or ())
         paired = sum(bool(np.isfinite(pair.delay)) and pair.weight <= COUNTS for pair in features.synchrony)
         reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
-        return Measured(found, Health(seen, count, {reason: number for reason, number in reasons.items() if number}))
+        return Measured(found, health(seen, count, reasons))
 
 
 def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[Sighting, int]:
@@ -44,21 +38,26 @@ def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[
     position of the touched cell. A hand strokes along the limb, so errors of one touch's frames are correlated: `whole`
     makes all of them count as one sighting.
     """
-    hand, touches, count = features.hand or NO_HAND, features.touches or (), 0
-    free, strongest = ascending(hand.t) & rows_seen(hand.values), weights(features, hand.t)
+    hand, touches, count = features.hand, features.touches or (), 0
+    if hand is None:
+        hand = Series(np.empty(0), np.empty((0, 2)), ("u", "v"), "px", np.empty(0, np.int64))
+    sound, (_, pairs) = ascending(hand.t) & rows_seen(hand.values), strongest(features, hand.t)
     places, variance = np.full(hand.values.shape, np.nan), np.ones(hand.values.shape)
-    for pair in features.synchrony if touches else ():
-        touch = touches[pair.touch]
-        during = free & (hand.t >= touch.onset) & (hand.t <= touch.offset) & (strongest == pair.weight)
-        free &= ~during
-        if pair.weight > LEAST and during.any():
-            u, v, spread = _place(body, touch.strongest)
+    for number, pair in enumerate(features.synchrony):
+        during = sound & (pairs == number)
+        if has_weight(pair) and during.any():
+            u, v, spread = _place(body, touches[pair.touch].strongest)
             places[during] = hand.values[during] - (u, v)
             variance[during] = spread / pair.weight * (during.sum() if whole else 1)
             count += pair.weight > COUNTS
     kept = rows_seen(places)
     found = (hand.t[kept], places[kept], variance[kept], hand.source_ns[kept])
     return Sighting("touch", body.senses["effector"], *found), count
+
+
+def has_weight(pair: Synchrony) -> bool:
+    """Whether a touch has a weight; so small a one that its variance swamps all others counts as none."""
+    return pair.weight > 1e-9
 
 
 def _place(body: BodyModel, cell: int) -> tuple[float, float, float]:
@@ -69,11 +68,11 @@ def _place(body: BodyModel, cell: int) -> tuple[float, float, float]:
     return u, v, spread**2
 
 
-def weights(features: Features, t: Array) -> Array:
-    """Synchrony weight (K,) of the touch at each time t (K,) s, 0 without a touch."""
-    weight, touches = np.zeros(len(t)), features.touches or ()
-    for pair in features.synchrony if touches else ():
+def strongest(features: Features, t: Array) -> tuple[Array, Array]:
+    """The greatest synchrony weight of touches at each time t (K,) s, 0 without one, and the pair's number, or −1."""
+    weight, number, touches = np.zeros(len(t)), np.full(len(t), -1), features.touches or ()
+    for k, pair in enumerate(features.synchrony if touches else ()):
         touch = touches[pair.touch]
-        during = (t >= touch.onset) & (t <= touch.offset)
-        weight[during] = np.maximum(weight[during], pair.weight)
-    return weight
+        more = (t >= touch.onset) & (t <= touch.offset) & (pair.weight > weight)
+        weight[more], number[more] = pair.weight, k
+    return weight, number

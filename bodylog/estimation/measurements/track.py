@@ -3,8 +3,8 @@
 import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
-from ...types import Array, Features, Health
-from .contract import Measured
+from ...types import Array, Features
+from .contract import Measured, health
 from .long_arrays import rows
 from .long_arrays import seen as seen_rows
 from .records import Sighting
@@ -13,10 +13,7 @@ from .records import Sighting
 class Track:
     """The sense of vision: every track of the features that the body predicts."""
 
-    @property
-    def group(self) -> str:
-        """Vision."""
-        return "vision"
+    group = "vision"
 
     def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
         """The tracks, in the log's order."""
@@ -27,14 +24,13 @@ class Track:
         track = features.tracks[name]
         rising = ascending(track.t)
         seen = seen_rows(track.values)
-        reasons = {"time runs backwards": int((~rising).sum()), "out of view": int((rising & ~seen).sum())}
-        rejected = {reason: count for reason, count in reasons.items() if count}
-        health = Health(len(track.t), int((rising & seen).sum()), rejected, gap(track.t[rising & seen]))
+        reasons = {"time runs backwards": (~rising).sum(), "out of view": (rising & ~seen).sum()}
+        counts = health(len(track.t), (rising & seen).sum(), reasons, gap(track.t[rising & seen]))
         model, noise = body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
         var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
         values, kept = np.where(seen[:, None], track.values, np.nan), rows(rising)
         t, values, var, source = track.t[kept], values[kept], var[kept], track.source_ns[kept]
-        return Measured(Sighting(name, model, t, values, var, source, _common(model, noise)), health)
+        return Measured(Sighting(name, model, t, values, var, source, _common(model, noise)), counts)
 
 
 def ascending(t: Array) -> Array:

@@ -94,18 +94,10 @@ def regression_rows(curve: Curve, late: float) -> Rows:
 
 
 def interpolated(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Positions (B,2) px and speeds (B,2) px/s of a curve delayed by `late` s, their weights (B,4), the first of the
-    four images (B,), and validity.
+    """Cubic through a curve delayed by `late` s: positions (B,2) px and speeds (B,2) px/s, the weights (B,4) of both in
+    the four images around, the first of these (B,), and whether no gap between them is too long.
     """
-    first, value, speed, sound = _cubic(curve.t, curve.at + late, GAP * curve.step)
-    near = curve.places[first[:, None] + np.arange(4)]
-    return np.einsum("bk,bkd->bd", value, near), np.einsum("bk,bkd->bd", speed, near), value, speed, first, sound
-
-
-def _cubic(t: Array, at: Array, gap: float) -> tuple[Array, Array, Array, Array]:
-    """Cubic through t (N,) at times (B,): first of four neighbours, their weights (B,4) in value and in speed (per s),
-    and whether all gaps between them are below `gap`.
-    """
+    t, at = curve.t, curve.at + late
     i = np.clip(np.searchsorted(t, at, "right") - 1, 1, len(t) - 3)
     h = t[i + 1] - t[i]
     before, after, s = h / (t[i + 1] - t[i - 1]), h / (t[i + 2] - t[i]), (at - t[i]) / h
@@ -115,8 +107,10 @@ def _cubic(t: Array, at: Array, gap: float) -> tuple[Array, Array, Array, Array]
 
     value = four(1 + s * s * (2 * s - 3), s * (s - 1) ** 2, s * s * (3 - 2 * s), s * s * (s - 1))
     speed = four(6 * s * (s - 1), (3 * s - 1) * (s - 1), 6 * s * (1 - s), s * (3 * s - 2)) / h[:, None]
-    close = np.maximum(np.maximum(t[i] - t[i - 1], h), t[i + 2] - t[i + 1]) < gap
-    return i - 1, value, speed, close & (s >= 0) & (s <= 1)
+    close = np.maximum(np.maximum(t[i] - t[i - 1], h), t[i + 2] - t[i + 1]) < GAP * curve.step
+    near = curve.places[(i - 1)[:, None] + np.arange(4)]
+    place, slope = (np.einsum("bk,bkd->bd", weights, near) for weights in (value, speed))
+    return place, slope, value, speed, i - 1, close & (s >= 0) & (s <= 1)
 
 
 def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel, TouchConstants
 from ...types import Array, Features
-from ..measurements.touch import weights
+from ..measurements.touch import strongest
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,5 +36,5 @@ def literal(features: Features, body: BodyModel, t: Array, dt: float) -> Literal
         return None
     rows = np.maximum(np.searchsorted(hand.t, t + 1e-9, "right") - 1, 0)
     seen = np.isfinite(hand.values[rows]).all(axis=1) & (np.abs(t - hand.t[rows]) < max(dt, 0.2))
-    temporal = weights(features, t)
+    temporal, _ = strongest(features, t)
     return Literal(model, body.touch, seen & (temporal > 0), hand.values[rows], temporal)

@@ -177,14 +177,14 @@ def middle(problem: Problem) -> Problem:
     low, high = t[begin], t[begin + MOST - 1]
     sightings = tuple(_cut_sighting(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings)
     if found is None:
-        cut = Evidence(None, sightings, problem.start, evidence.used, ())
+        cut = Evidence(None, sightings, evidence.used, ())
         return replace(problem, evidence=cut, timeline=timeline(cut, None))
     rows = (found.t >= low) & (found.t <= high)
     relative = None if found.relative is None else found.relative[rows]
     encoders = Encoders(found.t[rows], found.values[rows], found.source_ns[rows], relative)
     known = [column[np.isfinite(column)] for column in encoders.values.T]
     start = np.array([c[0] if len(c) else s for c, s in zip(known, problem.start, strict=True)])
-    cut = Evidence(encoders, sightings, start, evidence.used, ())
+    cut = Evidence(encoders, sightings, evidence.used, ())
     return replace(problem, evidence=cut, timeline=timeline(cut, None), start=start)
 
 
