@@ -14,7 +14,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...linear_algebra import forward_substituted
 from ...types import Array, Fault, Hypothesis
-from ..inference.conditioning import GATE
+from ..inference.filter_records import GATE
 from ..inference.initial_path import OFFSET_STD
 from ..measurements.gather import camera
 from ..measurements.records import Encoders, Evidence, Sighting

@@ -4,7 +4,7 @@ import numpy as np
 
 from ...types import Array
 from .conditioning import MANY
-from .filter_records import PAIRS, KnotReadings, Pooled, Readings
+from .filter_records import PAIRS, Dynamics, KnotReadings, Pooled, Readings
 from .motion import carry_back
 from .scan import EVEN, Trace
 
@@ -80,20 +80,22 @@ def _undo_pooled(pooled: Pooled, i: int, adjoint: Array, left: Array) -> None:
         parts[order] -= lack[0]
 
 
-def covariances(readings: Readings, trace: Trace, order: int) -> Array:
-    """Smoothed covariances (L,M,M,C) of the angles; order: the motion's.
+def covariances(readings: Readings, trace: Trace, dynamics: Dynamics) -> Array:
+    """Smoothed covariances (L,O,O,C) of the angles and, with offsets, of the sums of angle and offset: O = M or 2 M.
 
     The information Λ of everything after a stretch becomes W + Ψ Λ Ψᵀ at an earlier instant, where Ψ maps adjoints at
     the end back to that instant. The smoothed covariance is the one for Λ = 0 minus R Λ Rᵀ, with R = P Ψ.
     """
-    (k, _, c), m = trace.p[0].shape, readings.encoders.shape[1]
+    (k, _, c), m, order = trace.p[0].shape, readings.encoders.shape[1], dynamics.order
     known, used = np.zeros((k, 2 * k, c)), _used_rows(trace, m, m + readings.y.shape[1] * readings.y.shape[2])
     np.einsum("kkc->kc", known[:, k:])[:] = 1.0
-    cov, reach = np.empty_like(trace.prior_cov), np.empty((len(trace.p), m, k, c))
+    size = m if dynamics.offset is None else 2 * m
+    cov, reach = np.empty((len(trace.p), size, size, c)), np.empty((len(trace.p), size, k, c))
     for i in range(len(cov) - 1, -1, -1):
-        p, dt = trace.p[i], readings.dt[i]
-        half = np.einsum("jkc,klc->jlc", p[:m], known)
-        np.subtract(p[:m, :m], np.einsum("jlc,lkc->jkc", half[:, :k], p[:, :m]), out=cov[i])
+        rows, dt = _outputs(trace.p[i], m, dynamics.offset), readings.dt[i]
+        half = np.einsum("jkc,klc->jlc", rows, known)
+        own = _outputs(rows.swapaxes(0, 1), m, dynamics.offset).swapaxes(0, 1)
+        np.subtract(own, np.einsum("jlc,klc->jkc", half[:, :k], rows), out=cov[i])
         reach[i] = half[:, k:]
         _undo_rows(readings, trace, i, used[i], known, order)
         if readings.reset is not None:
@@ -112,6 +114,11 @@ def covariances(readings: Readings, trace: Trace, order: int) -> Array:
     for less, r in zip(cov, reach, strict=True):
         less -= np.einsum("jlc,mlc->jmc", np.einsum("jkc,klc->jlc", r, ends), r)
     return cov
+
+
+def _outputs(p: Array, m: int, offset: int | None) -> Array:
+    """Rows of p (K,…) for the m angles and, with offsets, for what the encoders read."""
+    return p[:m] if offset is None else np.concatenate([p[:m], p[:m] + p[offset : offset + m]])
 
 
 def _ends(at_start: Array) -> Array:

@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ...types import Array
-from .filter_records import PAIRS
+from .filter_records import GATE, PAIRS
 
 if TYPE_CHECKING:
     from .filter_records import Dynamics, Pooled, Readings
 
 MANY = 0.6
 """Share of stretches above which all are updated in place instead of copying some out and back."""
-GATE = 5.0
-"""Standard deviations: a larger innovation d has its noise inflated so that its weight falls as (GATE/d)⁴."""
 FLAT = 1.0
 """Nats from the gate's ½ GATE² to an outlier's cost anywhere: one in a hundred in an image of 320×240 px costs 14."""
 
@@ -65,12 +63,12 @@ def update(
     m, projected = encoders.y.shape[1], encoders.at(i)
     spoken = bool(projected.present.any())
     if spoken:
-        var, encoder_d[:] = _gated_encoders(readings.encoders[i], projected.var, dynamics, belief)
-        more += outlier_cost(encoder_d * encoder_d).sum(axis=0)
+        var, encoder_d[:] = _gated_encoders(readings.encoders[i], projected.var, readings.gate, dynamics, belief)
+        more += outlier_cost(encoder_d * encoder_d, gate=readings.gate).sum(axis=0)
     else:
         encoder_d[:] = np.nan
     if len(seen):
-        _condition_tracks(tracks, readings.jac, i, seen, belief, back.at(slice(m, None)), more)
+        _condition_tracks(tracks, readings, i, seen, belief, back.at(slice(m, None)), more)
     if spoken:
         _condition_encoders(projected._replace(var=var), belief, back.at(slice(m)), dynamics.offset)
 
@@ -143,27 +141,28 @@ def advance(move: Array, shift: Array, noise: Array, belief: Array) -> None:
 
 
 def _condition_tracks(
-    measured: Rows, jac: Array, i: int, seen: Array, belief: Array, back: AdjointRecord, more: Array
+    measured: Rows, readings: "Readings", i: int, seen: Array, belief: Array, back: AdjointRecord, more: Array
 ) -> None:  # fmt: skip
     """Condition the belief in place on the tracks' rows of instant i, in the stretches `seen` only if these are few."""
+    jac, gate = readings.jac[i], readings.gate
     if len(seen) > MANY * belief.shape[-1]:
-        more += _condition_track_rows(measured.at(i), jac[i], belief, back)
+        more += _condition_track_rows(measured.at(i), jac, gate, belief, back)
         return
     some, rows = belief.take(seen, axis=-1), len(back.nus)
     part = AdjointRecord(
         None if back.gains is None else np.empty((rows, *some[:, -1].shape)), *np.empty((2, rows, len(seen)))
     )
-    more[seen] += _condition_track_rows(measured.at(i, seen), jac[i].take(seen, axis=-1), some, part)
+    more[seen] += _condition_track_rows(measured.at(i, seen), jac.take(seen, axis=-1), gate, some, part)
     belief[..., seen] = some
     for whole, found in zip(back, part, strict=True):
         if whole is not None:
             whole[..., seen] = found
 
 
-def _condition_track_rows(measured: Rows, jac: Array, belief: Array, back: AdjointRecord) -> Array:
+def _condition_track_rows(measured: Rows, jac: Array, gate: float, belief: Array, back: AdjointRecord) -> Array:
     """Condition the belief in place on tracks' rows (T,D,C), jac (T,D,M,C), gated by the prior; `outlier_cost` (C,)."""
     size, predicted = jac.shape[1], [_project(h, belief) for h in jac]
-    own = [_gated(*projected, *rows) for projected, *rows in zip(predicted, *measured, strict=True)]
+    own = [_gated(gate, *projected, *rows) for projected, *rows in zip(predicted, *measured, strict=True)]
     for t, (h, y, present, (var, _)) in enumerate(zip(jac, measured.y, measured.present, own, strict=True)):
         # earlier tracks have moved the belief
         ph, s = predicted[0] if t == 0 else _project(h, belief)
@@ -189,11 +188,13 @@ def _project(h: Array, belief: Array) -> tuple[Array, Array]:
     return projected, np.einsum("emc,dmc->dec", h, projected[:, :m])
 
 
-def _gated(projected: Array, s: Array, y: Array, var: Array, present: Array) -> tuple[Array, Array]:
+def _gated(
+    gate: float, projected: Array, s: Array, y: Array, var: Array, present: Array
+) -> tuple[Array, Array]:  # fmt: skip
     """Gated variances (D,C) and `outlier_cost` (C,) of a track; projected (D,K+1,C) and s (D,D,C) are by the prior."""
     total, nu = np.einsum("ddc->dc", s) + var, (y - projected[:, -1]) * present
     d2, size = _square(nu, total, s)
-    inflated = raised(var, total, d2)
+    inflated = raised(var, total, d2, gate)
     if inflated is var:
         return var, np.zeros(d2.shape)
     square, whole = _square(nu, total + (inflated - var), s)
@@ -214,7 +215,9 @@ def _square(nu: Array, total: Array, s: Array) -> tuple[Array, Array]:
     return square, size
 
 
-def _gated_encoders(y: Array, var: Array, dynamics: "Dynamics", belief: Array) -> tuple[Array, Array]:
+def _gated_encoders(
+    y: Array, var: Array, gate: float, dynamics: "Dynamics", belief: Array
+) -> tuple[Array, Array]:  # fmt: skip
     """Gated encoder variances (M,C), and innovations of y (M,C) in standard deviations, NaN if silent."""
     m, diagonal, offset = len(y), np.einsum("iic->ic", belief[:, :-1]), dynamics.offset
     total, nu = diagonal[:m] + var, y - belief[:m, -1]
@@ -225,23 +228,23 @@ def _gated_encoders(y: Array, var: Array, dynamics: "Dynamics", belief: Array) -
     d = nu / np.sqrt(total)
     if dynamics.is_prior is not None:
         d[dynamics.is_prior] = np.nan
-    return raised(var, total, d * d), d
+    return raised(var, total, d * d, gate), d
 
 
-def raised(var: Array, total: Array, d2: Array) -> Array:
-    """Noise `var` for innovations of variance `total`, inflated by (d/GATE)⁴ − 1 totals outside the gate."""
-    over = d2 > GATE * GATE
-    return var + total * np.where(over, (d2 / (GATE * GATE)) ** 2 - 1.0, 0.0) if over.any() else var
+def raised(var: Array, total: Array, d2: Array, gate: float = GATE) -> Array:
+    """Noise `var` for innovations of variance `total`, inflated by (d/gate)⁴ − 1 totals outside the gate."""
+    over = d2 > gate * gate
+    return var + total * np.where(over, (d2 / (gate * gate)) ** 2 - 1.0, 0.0) if over.any() else var
 
 
-def outlier_cost(d2: Array, inflated: Array | None = None, logs: Array | None = None) -> Array:
+def outlier_cost(d2: Array, inflated: Array | None = None, logs: Array | None = None, gate: float = GATE) -> Array:
     """Nats that innovations of squares d2 cost beyond a Gaussian of the inflated noise; 0 inside the gate.
 
     The whole cost is that of a density that hardly falls any more outside the gate: it grows with distance. inflated:
     their squares with the inflated noise · logs: logarithm of the ratio of the variances' determinants. Both follow
     from d2 for single readings.
     """
-    over = d2 / (GATE * GATE)
+    over = d2 / (gate * gate)
     if not (over > 1.0).any():
         return np.zeros(over.shape)
     over = np.fmax(over, 1.0)

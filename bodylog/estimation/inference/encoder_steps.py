@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...types import Array
-from .conditioning import FLAT, GATE
-from .filter_records import Dynamics
+from .conditioning import FLAT
+from .filter_records import GATE, Dynamics
 from .motion import carry, spreads
 
 _LOG = math.log(2.0 * math.pi)

@@ -7,6 +7,8 @@ from .stationary import Stationary
 
 PAIRS = {2: ((0, 1),), 3: ((0, 1), (0, 2), (1, 2))}
 """Pairs of a derivative of the angle and a higher one, by the motion's order."""
+GATE = 5.0
+"""Standard deviations: a larger innovation d has its noise inflated so that its weight falls as (GATE/d)⁴."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +63,7 @@ class Readings:
     reset (L,M,C) bool: joints that restart from a wide prior at an instant, or None.
     more (L,M,C): factor on the process variance before an instant, or None for 1.
     moves: move (L,S,S,M,C), shift (L,S,M,C), noise (L,S,S,M,C) of the states before an instant, if not by dt alone.
+    gate: standard deviations beyond which innovations count as outliers.
     """
 
     dt: Array
@@ -72,6 +75,7 @@ class Readings:
     reset: Array | None = field(default=None, kw_only=True)
     more: Array | None = field(default=None, kw_only=True)
     moves: tuple[Array, Array, Array] | None = field(default=None, kw_only=True)
+    gate: float = field(default=GATE, kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,8 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
-from .conditioning import GATE, outlier_cost
+from .conditioning import outlier_cost
+from .filter_records import GATE
 from .motion import Motion
 
 ITERATIONS = 40

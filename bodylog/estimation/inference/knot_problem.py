@@ -69,14 +69,15 @@ def knot_problem(problem: "Problem", gated: Array | None = None) -> KnotProblem:
     between, fold = blocks(line.t, values, var, events, alone), fold_for(len(events))
     rest = folded_readings(few, fold, np.where(alone[:, None], values, np.nan)[events], var[events])
     found = pooled(between, few.dynamics, fold, few.more, few.held)
-    leaps = KnotReadings(*rest, pooled=found, reset=forgotten(few, fold))
+    leaps = KnotReadings(*rest, pooled=found, reset=forgotten(few, fold), gate=problem.gate)
     return KnotProblem(few, events, between, leaps)
 
 
 def full(problem: "Problem", fold: Fold, held: Array | None = None) -> Readings:
     """Readings of all instants, folded, without the frames' tangents; held (E,M) bool: joints silent for long."""
     more, held = None if problem.more is None else fold.fold(problem.more, 1.0), problem.held if held is None else held
-    found = Readings(*folded_readings(problem, fold, *encoder_rows(problem)), reset=forgotten(problem, fold), more=more)
+    parts = folded_readings(problem, fold, *encoder_rows(problem))
+    found = Readings(*parts, reset=forgotten(problem, fold), more=more, gate=problem.gate)
     if held is None or not held.any():
         return found
     dt = np.diff(problem.timeline.t, prepend=problem.timeline.t[0])

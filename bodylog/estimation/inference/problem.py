@@ -11,7 +11,7 @@ from ..measurements.timeline import Timeline
 from ..noise.noise_model import NoiseModel
 from ..noise.posture_prior import PosturePrior
 from ..noise.visibility import views
-from .filter_records import Dynamics
+from .filter_records import GATE, Dynamics
 from .reacquisition import left_open
 from .stationary import Stationary
 
@@ -24,7 +24,7 @@ class Problem:
     joints without an encoder · resets: times (R,) s at which joints (R,M) bool restart from a wide prior · stepwise:
     images alone determine the arm for long, where sweeps may converge to another posture · alternatives: joints with
     an offset that explains nearly as much · stationary: motion of joints whose encoders are silent for long, if
-    one ever is.
+    one ever is · gate: standard deviations beyond which innovations count as outliers.
     """
 
     evidence: Evidence
@@ -37,6 +37,7 @@ class Problem:
     stepwise: bool = False
     alternatives: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
     stationary: Stationary | None = None
+    gate: float = GATE
 
     def resets_at(self, t: Array) -> tuple[Array, Array]:
         """Indices of resets among the instants t (E,) s, and their joints (R,M) bool."""

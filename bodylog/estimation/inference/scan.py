@@ -119,7 +119,8 @@ def columns(record: R, some: Array) -> R:
             return columns(part, some)
         # not part[..., some], which lies in memory the other way round
         whole = isinstance(part, np.ndarray)
-        return part if part is None else part.compress(some, axis=-1) if whole else tuple(map(cut, part))
+        plain = part is None or isinstance(part, float)
+        return part if plain else part.compress(some, axis=-1) if whole else tuple(map(cut, part))
 
     return type(record)(**{one.name: cut(getattr(record, one.name)) for one in fields(record)})
 

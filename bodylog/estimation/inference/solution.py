@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...types import Array
-from .conditioning import GATE
-from .filter_records import Readings
+from .filter_records import GATE, Readings
 from .folds import Fold
 from .knot_problem import KnotProblem
 from .scan import Trace
@@ -26,3 +25,18 @@ class Solution:
     def gated(self) -> Array:
         """Instants (E,) with an encoder reading beyond the gate."""
         return np.asarray((np.abs(self.fold.unfold(self.trace.encoder_d)) > GATE).any(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Path(Solution):
+    """The last forward pass, with the smoothed state z (L,K,C) and the adjoints `after` (L,K,C) each instant."""
+
+    z: Array
+    after: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth(Path):
+    """A smoothed log, with cov (L,O,O,C) of the angles and, with offsets, of what the encoders read."""
+
+    cov: Array

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Estimate, Fault, Finding, Series
+from ..inference.leave_one_out import projected
 from ..measurements.long_arrays import seen as seen_rows
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
@@ -15,7 +16,10 @@ from ..measurements.timeline import Timeline
 
 @dataclass(frozen=True, eq=False)
 class Beliefs:
-    """At every instant: z (E,K) · cov (E,M,M) · nats (E,); before the instant: x (E,M), cov, encoder errors (E,M)."""
+    """At every instant: z (E,K) · cov (E,M,M) · nats (E,); before the instant: x (E,M), cov, encoder errors (E,M).
+
+    places: of each sighting's frames, if not predicted before the instant: mean (F,D), cov (F,D,D), model's var (F,D).
+    """
 
     z: Array
     cov: Array
@@ -27,6 +31,7 @@ class Beliefs:
     settings: Mapping[str, Any]
     faults: tuple[Fault, ...] = ()
     findings: tuple[Finding, ...] = ()
+    places: tuple[tuple[Array, Array, Array], ...] = ()
 
 
 def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, beliefs: Beliefs) -> Estimate:
@@ -37,7 +42,12 @@ def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, b
     def series(values: Array, unit: str) -> Series:
         return Series(t, values, body.joints, unit, line.source_ns)
 
-    sights = {s.name: sight(s, events, beliefs) for s, events in zip(evidence.sightings, line.sightings, strict=True)}
+    both = zip(evidence.sightings, line.sightings, strict=True)
+    places = beliefs.places or tuple(predicted(s, beliefs.before[at], beliefs.before_cov[at]) for s, at in both)
+    sights = {
+        s.name: sight(s, place, beliefs.scale.get(s.name, 1.0))
+        for s, place in zip(evidence.sightings, places, strict=True)
+    }
     errors = {name: error for name, (error, _, _) in sights.items()}
     if evidence.encoders is not None and np.isfinite(evidence.encoders.values).any():
         rows = beliefs.encoder_errors[line.encoders]
@@ -54,12 +64,16 @@ def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, b
     )  # fmt: skip
 
 
-def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, Series, Array]:
-    """Standardised errors where seen; the place predicted before the frame; its covariance (F,D,D) with noise."""
-    mean, jac, var = sighting.model.predict(beliefs.before[events])
-    cov = _projected(jac, beliefs.before_cov[events])
-    scale, names = beliefs.scale.get(sighting.name, 1.0), sighting.model.outputs
-    cov += scale * (sighting.var[..., None] * np.eye(len(names)) if sighting.cov is None else sighting.cov)
+def predicted(sighting: Sighting, x: Array, cov: Array) -> tuple[Array, Array, Array]:
+    """Mean (F,D), covariance (F,D,D) and the model's variance (F,D) of frames by angles x (F,M) of cov (F,M,M)."""
+    mean, jac, var = sighting.model.predict(x)
+    return mean, projected(jac, cov), var
+
+
+def sight(sighting: Sighting, place: tuple[Array, Array, Array], scale: float) -> tuple[Series, Series, Array]:
+    """Standardised errors where seen; the place predicted without the frame; its covariance (F,D,D) with noise."""
+    (mean, cov, var), names = place, sighting.model.outputs
+    cov = cov + scale * (sighting.var[..., None] * np.eye(len(names)) if sighting.cov is None else sighting.cov)
     np.einsum("fdd->fd", cov)[:] += var
     std = np.sqrt(np.einsum("fdd->fd", cov))
     seen = seen_rows(sighting.values)
@@ -69,9 +83,3 @@ def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, 
     unit = getattr(sighting.model, "unit", "px")
     return errors, Series(sighting.t, mean, names, unit, sighting.source_ns, std), cov
 
-
-def _projected(jac: Array, cov: Array) -> Array:
-    """J P Jᵀ (F,D,D) of jac (F,D,M) and cov (F,M,M); with frames last, products of small matrices are fast."""
-    jac, cov = (np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in (jac, cov))
-    found = np.einsum("dkf,ekf->fde", np.einsum("dmf,mkf->dkf", jac, cov), jac)
-    return np.ascontiguousarray(found)

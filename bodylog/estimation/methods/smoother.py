@@ -4,8 +4,6 @@ Linearising all frames at the smoothed angles until convergence gives the maximu
 has the Bryson–Frazier form, which needs the filter's gains but no inverse.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...body_model import BodyModel
@@ -18,9 +16,10 @@ from ..inference.folds import Fold, fold_for
 from ..inference.gauss_newton import far, initial_sweep
 from ..inference.initial_path import handed_over, starts
 from ..inference.knot_problem import full
+from ..inference.leave_one_out import LeftOut, free_energy, left_out, outliers, without
 from ..inference.problem import Problem
 from ..inference.scan import Trace, rescan
-from ..inference.solution import Solution
+from ..inference.solution import Path, Smooth, Solution
 from ..inference.tangents import Tangents
 from ..inference.walk import walk
 from ..noise.correlated_noise import WHOLE
@@ -34,35 +33,45 @@ LASTING = 1e-6
 """Standard deviations: tolerance on a stretch's start and end."""
 
 
-@dataclass(frozen=True, eq=False)
-class Path(Solution):
-    """The last forward pass, with the smoothed state z (L,K,C) and the adjoints `after` (L,K,C) each instant."""
-
-    z: Array
-    after: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Smooth(Path):
-    """A smoothed log, with cov (L,M,M,C) of the angles."""
-
-    cov: Array
-
-
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Smoothed belief at each output time, given the whole log."""
     problem, faults = gathered(features, body, settings)
     problem, warm = tuned(problem, settings)
     solver = (lambda posed, _: once(posed)) if problem.stepwise else solve
     problem, smooth = settled(problem, warm, settings, solver, once)
+    smooth, found = judged(problem, smooth)
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
-    z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov), problem.held)
+    z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov)[:, :m, :m], problem.held)
+    errors = np.full((*problem.timeline.t.shape, m), np.nan)
+    errors[problem.timeline.encoders] = found.encoders
     beliefs = Beliefs(
-        shown(z, problem), cov, unfold(smooth.trace.nats), z[:, :m], cov, unfold(smooth.trace.encoder_d),
+        shown(z, problem), cov, free_energy(problem, smooth, found), z[:, :m], cov, errors,
         precision.scale, precision.plain(), drifts(problem, body.joints, smooth, faults),
-        tuple(lost(problem, body.joints, smooth)),
+        tuple(lost(problem, body.joints, smooth)), found.places,
     )  # fmt: skip
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
+
+
+def judged(problem: Problem, smooth: Smooth) -> tuple[Smooth, LeftOut]:
+    """The smoothed log without outliers, which hindsight finds in place of the gate of the forward pass.
+
+    An outlier that the filter believes makes it reject the next readings. Here outliers are the readings that all
+    others contradict; they are found again until they stay the same. Otherwise the gated solution is kept.
+    """
+    first = found = left_out(problem, smooth)
+    removed = outliers(found)
+    if problem.stepwise or not (found.gated or any(far.any() for far in removed)):
+        return smooth, first
+    for _ in range(SWEEPS):
+        try:
+            path = solve(without(problem, removed))
+        except DidNotConverge:
+            break
+        found, before = left_out(problem, path), removed
+        removed = outliers(found)
+        if all(map(np.array_equal, removed, before)):
+            return path, found
+    return smooth, first
 
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
@@ -79,7 +88,7 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     path = _rounds(problem, fold, full(problem, fold), tangents, z, p, ends, 2.0 * LASTING)
     return Smooth(
         fold, path.readings, tangents, path.trace, path.z, path.after,
-        adjoint.covariances(path.readings, path.trace, problem.precision.order), knots=(knots, first),
+        adjoint.covariances(path.readings, path.trace, problem.dynamics), knots=(knots, first),
     )  # fmt: skip
 
 
@@ -123,7 +132,7 @@ def once(problem: Problem) -> Smooth:
     solution, k, order = walk(problem, remember=True), problem.dynamics.size, problem.precision.order
     after, _ = adjoint.adjoints(solution.readings, solution.trace, np.zeros((k, 1)), order)
     smooth = adjoint.means(solution.trace, after)
-    cov = adjoint.covariances(solution.readings, solution.trace, order)
+    cov = adjoint.covariances(solution.readings, solution.trace, problem.dynamics)
     return Smooth(solution.fold, solution.readings, solution.tangents, solution.trace, smooth, after, cov)
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
-from ..inference.conditioning import GATE
+from ..inference.filter_records import GATE
 from ..measurements.long_arrays import median, median_step
 from ..measurements.records import Encoders
 from .encoder_evidence import WARM, evidence

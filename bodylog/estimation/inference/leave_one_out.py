@@ -1,0 +1,130 @@
+"""Predictions of each reading from all others of a smoothed log, and the outliers that they show.
+
+A reading y = H x + n with noise R leaves the residual ε = y − H x̂ of covariance R − A, where A = H P Hᵀ is by the
+smoothed belief. All other readings predict it with the error R (R − A)⁻¹ ε, of covariance R (R − A)⁻¹ R (de Jong 1988).
+Where the reading was not used, these are ε and R + A.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ...types import Array
+from ..measurements.records import mixed
+from .conditioning import FLAT
+from .filter_records import GATE
+from .problem import Problem
+from .solution import Smooth
+
+LEAST = 1e-3
+"""Least share of R that R − A is, above the rounding of A after a wide prior, which is up to 4e-5 of R."""
+
+
+class LeftOut(NamedTuple):
+    """Each reading as all others predict it: errors of encoders (N,M), in standard deviations; frames of sightings.
+
+    places: mean (F,D), covariance (F,D,D) and the model's variance (F,D), without the noise of the frame itself ·
+    squares (N,M), then (F,): errors over their covariance · nats, alike: cost of readings that were removed, else 0 ·
+    gated: whether the smoother's forward pass took any for outliers.
+    """
+
+    encoders: Array
+    places: tuple[tuple[Array, Array, Array], ...]
+    squares: tuple[Array, ...]
+    nats: tuple[Array, ...]
+    gated: bool
+
+
+def left_out(problem: Problem, smooth: Smooth) -> LeftOut:
+    """The problem's readings, by a smoothed log from which some may have been removed."""
+    unfold, d = smooth.fold.unfold, smooth.trace.encoder_d
+    x, cov = unfold(smooth.z), unfold(smooth.cov)
+    encoders, nats = _encoders(problem, x, np.einsum("eoo->eo", cov), unfold(d), smooth.readings.gate)
+    frames = [_frames(problem, smooth, index, x, cov) for index in range(len(problem.evidence.sightings))]
+    places, squares, costs, far = zip(*frames, strict=True) if frames else ((), (), (), ())
+    gated = bool((np.abs(d) > smooth.readings.gate).any()) or any(some.any() for some in far)
+    return LeftOut(encoders, places, (encoders * encoders, *squares), (nats, *costs), gated)
+
+
+def _encoders(problem: Problem, x: Array, var: Array, d: Array, gate: float) -> tuple[Array, Array]:
+    """Errors and nats (N,M); smoothed x (E,K), their variances var (E,O), innovations d (E,M), gated."""
+    found, at, m = problem.evidence.encoders, problem.timeline.encoders, len(problem.start)
+    if found is None:
+        return np.empty((0, m)), np.empty((0, m))
+    read = x[at, :m] + (0.0 if problem.dynamics.offset is None else x[at, problem.dynamics.offset :])
+    noise = problem.precision.encoder * (1.0 if found.relative is None else found.relative)
+    used, a = np.abs(d[at]) <= gate, var[at, -m:]
+    total = np.where(used, np.maximum(noise - a, LEAST * noise), noise + a)
+    errors = (found.values - read) / np.sqrt(total)
+    removed = np.isnan(d[at]) & np.isfinite(errors)
+    return errors, np.where(removed, _cost(errors * errors, np.log(2.0 * np.pi * total)), 0.0)
+
+
+def _frames(
+    problem: Problem, smooth: Smooth, index: int, x: Array, cov: Array
+) -> tuple[tuple[Array, Array, Array], Array, Array, Array]:
+    """Places, squares and nats of a sighting's frames, and which were gated; smoothed x (E,K) and cov (E,O,O)."""
+    sighting, at, m = problem.evidence.sightings[index], problem.timeline.sightings[index], len(problem.start)
+    (values, _, mix), pick, x = sighting.independent, smooth.fold.pick, x[at, :m]
+    plain, removed = sighting.model.predict(x), np.isnan(pick(smooth.readings.y, at)[:, index, 0])
+    mean, jac, var = mixed(mix, plain)
+    std = np.sqrt(pick(smooth.readings.var, at)[:, index, : values.shape[1]] + var * removed[:, None])
+    residual, h = (values - mean) / std, jac / std[..., None]  # their R is 1
+    far = ~removed & _gated(smooth, at, residual - np.einsum("fdm,fm->fd", h, pick(smooth.trace.prior, at) - x), h)
+    a, axes = np.linalg.eigh(projected(h, cov[at, :m, :m]))
+    along, used = np.einsum("fde,fd->fe", axes, residual), ~(removed | far)[:, None]
+    left = np.where(used, np.maximum(1.0 - a, LEAST), 1.0)
+    total, spread = np.where(used, left, 1.0 + a), np.where(used, 1.0 / left - 1.0, a)
+    square, log_size = (along * along / total).sum(axis=1), np.log(2.0 * np.pi * total * std * std).sum(axis=1)
+    back = std[..., None] * axes if mix is None else np.linalg.solve(mix, std[..., None] * axes)
+    error = np.einsum("fde,fe->fd", back, along / left)
+    place = np.where(np.isfinite(error), sighting.values - error, plain[0])
+    nats = np.where(removed & np.isfinite(square), _cost(square, log_size), 0.0)
+    return (place, (back * spread[:, None]) @ back.swapaxes(1, 2), plain[2]), square, nats, far
+
+
+def _gated(smooth: Smooth, at: Array, innovation: Array, h: Array) -> Array:
+    """Which innovations (F,D), of noise 1 and Jacobians h (F,D,M), the forward pass rejected."""
+    s = projected(h, smooth.fold.pick(smooth.trace.prior_cov, at)) + np.eye(h.shape[1])
+    squares = np.einsum("fd,fd->f", innovation, np.linalg.solve(s, innovation[..., None])[..., 0])
+    return np.asarray(squares > smooth.readings.gate**2)
+
+
+def projected(jac: Array, cov: Array) -> Array:
+    """J P Jᵀ (F,D,D) of jac (F,D,M) and cov (F,M,M); with frames last, products of small matrices are fast."""
+    jac, cov = (np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in (jac, cov))
+    found = np.einsum("dkf,ekf->fde", np.einsum("dmf,mkf->dkf", jac, cov), jac)
+    return np.ascontiguousarray(found)
+
+
+def _cost(d2: Array, log_size: Array) -> Array:
+    """Nats of removed readings with squares d2 and ln|2π S|: they grow with distance, as those of `outlier_cost`."""
+    over = np.fmax(d2 / GATE**2, 1.0)
+    return np.asarray(0.5 * (np.fmin(d2, GATE**2) + log_size) + FLAT * (1.0 - 1.0 / over))
+
+
+def outliers(found: LeftOut) -> tuple[Array, ...]:
+    """Readings that all others contradict: encoders' (N,M) bool, then frames (F,) of each sighting."""
+    return tuple(squares > GATE**2 for squares in found.squares)
+
+
+def without(problem: Problem, removed: tuple[Array, ...]) -> Problem:
+    """The problem without the readings that are removed, and without a gate for the others."""
+    evidence, (encoders, *frames) = problem.evidence, removed
+    sightings = tuple(
+        replace(one, values=np.where(far[:, None], np.nan, one.values))
+        for one, far in zip(evidence.sightings, frames, strict=True)
+    )
+    rows = evidence.encoders and replace(evidence.encoders, values=np.where(encoders, np.nan, evidence.encoders.values))
+    return replace(problem, evidence=replace(evidence, encoders=rows, sightings=sightings), gate=np.inf)
+
+
+def free_energy(problem: Problem, smooth: Smooth, found: LeftOut) -> Array:
+    """Nats (E,) of a smoothed log and of the readings removed from it."""
+    nats, line = smooth.fold.unfold(smooth.trace.nats).copy(), problem.timeline
+    encoders, *frames = found.nats
+    nats[line.encoders] += encoders.sum(axis=1)
+    for at, cost in zip(line.sightings, frames, strict=True):
+        nats[at] += cost
+    return nats
