@@ -15,15 +15,15 @@ from bodylog import body as learning
 from bodylog.body_model import BodyModel
 from bodylog.errors import LogError, ModelError, UsageError
 from bodylog.estimation import estimate
-from bodylog.estimation.inference.encoder_steps import EncoderSteps, even
+from bodylog.estimation.inference.encoder_steps import EncoderSteps
 from bodylog.estimation.inference.filter_records import Dynamics
-from bodylog.estimation.inference.instant import hear
-from bodylog.estimation.inference.motion import Motion
+from bodylog.estimation.inference.sequential import SequentialFilter
 from bodylog.estimation.live.estimator import Belief, Estimator
 from bodylog.estimation.measurements import touch
+from bodylog.estimation.noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame
 from bodylog.settings import Estimation, Settings
 from bodylog.types import Estimate, Features, Series
-from tests.estimation.conftest import Explored
+from tests.estimation.conftest import Explored, discretised
 from tests.seeds import seeds
 
 MODEL = Estimation(precision="model", bias="off")
@@ -376,21 +376,44 @@ def test_joints_in_two_halves_start_once_all_are_known(world):
 @pytest.mark.parametrize("offsets", [False, True])
 @pytest.mark.parametrize("seed", range(3))
 def test_encoder_steps_equal_the_matrix_form(seed, offsets, order):
-    rng = np.random.default_rng(seed)
-    m = 3
+    rng, m, dt = np.random.default_rng(seed), 3, 0.013
     drift = np.array([1e-4, 0.0, 1e-5]) if offsets else None
     dynamics = Dynamics(rng.uniform(0.1, 1.0, m), drift, order=order)
-    motion, k = Motion(dynamics), dynamics.size
+    k, more = dynamics.size, rng.uniform(1.0, 2.0, m)
     root = rng.normal(size=(k, k))
     z, p, var = rng.normal(size=k), root @ root.T / k, rng.uniform(1e-4, 1e-2, m)
-    stated = np.where(rng.random(m) < 0.3, np.nan, z[:m] + rng.normal(size=m) * (1.0, 1.0, 9.0))  # the last is gated
-    moved_z, moved_p = motion.move(z, p, 0.013)
-    found = hear(motion, moved_z, moved_p, stated, var, [])
-    steps = EncoderSteps(dynamics, var)
-    belief = steps.moved(np.column_stack([p, z]), 0.013)
-    np.testing.assert_allclose(belief, np.column_stack([moved_p, moved_z]), atol=1e-12, rtol=0)
-    nats, d = steps.condition(belief, stated.tolist())
-    even(belief)
-    np.testing.assert_allclose(belief, np.column_stack([found.p, found.z]), atol=1e-12, rtol=0)
-    np.testing.assert_allclose(d, found.encoder_d, atol=1e-12, rtol=0)
-    assert nats == pytest.approx(found.nats, abs=1e-12)
+    f, q = np.eye(k), np.zeros((k, k))
+    f[: order * m, : order * m], q[: order * m, : order * m] = discretised(more * dynamics.process, dt, order)
+    q[order * m :, order * m :] = np.diag([] if drift is None else drift * dt)
+    z, p, steps, belief = f @ z, f @ p @ f.T + q, EncoderSteps(dynamics), np.column_stack([p, z])
+    belief = steps.moved(belief, dt, more)
+    np.testing.assert_allclose(belief, np.column_stack([p, z]), atol=1e-12, rtol=0)
+    readings = np.where(rng.random(m) < 0.3, np.nan, z[:m] + rng.normal(size=m) * (1.0, 1.0, 90.0))
+    h = np.eye(m, k) + np.eye(m, k, order * m)
+    s, seen = np.einsum("ik,kl,il->i", h, p, h) + var, np.isfinite(readings)
+    d = (readings - h @ z) / np.sqrt(s)
+    gated = var + s * np.fmax((d / 5.0) ** 4 - 1.0, 0.0)
+    noise, innovations, cost = steps.gated(belief, readings.tolist(), var.tolist())
+    np.testing.assert_allclose(innovations, d, atol=1e-12, rtol=0)
+    np.testing.assert_allclose(np.array(noise)[seen], gated[seen], rtol=1e-12)
+    assert (cost > 0.0) == bool((np.abs(d) > 5.0).any())
+    nats = steps.condition(belief, readings.tolist(), noise)
+    h, nu, s = h[seen], (readings - h @ z)[seen], (h @ p @ h.T + np.diag(gated))[np.ix_(seen, seen)]
+    gain = p @ h.T @ np.linalg.inv(s)
+    np.testing.assert_allclose(belief, np.column_stack([p - gain @ h @ p, z + gain @ nu]), atol=1e-9, rtol=0)
+    wanted = 0.5 * (nu @ np.linalg.inv(s) @ nu + np.linalg.slogdet(2.0 * np.pi * s)[1])
+    assert nats == pytest.approx(wanted, abs=1e-9)
+
+
+def test_search_that_is_satisfied_at_once_linearises_at_the_prior_mean(world):
+    drawn, rng = world(0, duration=1.0), np.random.default_rng(0)
+    dynamics, start = Dynamics(np.full(3, 0.3)), np.array([-0.9, -0.9, 1.0])
+    like = ErrorCorrelation(dynamics.process, np.asarray(np.inf), 0.0, PAST)
+    model = drawn.body.senses["effector"]
+    seen = model.predict(start[None])[0][0] + rng.normal(0.0, 5.0, 2)
+    frame = PendingFrame(model, 0.0, seen, np.ones(2), like, LastFrame())
+    for rest, kept in ((np.inf, True), (1e-8, False)):
+        steps = SequentialFilter(dynamics, None, rest)
+        found = steps.step(steps.first(start), 0.0, [np.nan] * 3, [1e-4] * 3, {"effector": frame})
+        assert np.array_equal(found.point, start) == np.array_equal(found.seen["effector"].memory.point, start) == kept
+        assert np.abs(found.belief[:3, -1] - start).max() > 1e-3

@@ -8,8 +8,7 @@ import pytest
 from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation import estimate
 from bodylog.estimation.inference.filter_records import Dynamics
-from bodylog.estimation.inference.instant import hear
-from bodylog.estimation.inference.motion import Motion
+from bodylog.estimation.inference.sequential import SequentialFilter
 from bodylog.estimation.measurements import gather
 from bodylog.estimation.measurements.track import Track
 from bodylog.estimation.noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame
@@ -81,24 +80,20 @@ def drawn(seed, duration=8.0, pixel=0.2, encoder=0.02, hz=50.0, camera=12.0):
 
 def filtered(features, body, process, poses):
     """The belief at each encoder instant, by a filter that goes instant by instant: (N,3), (N,3,3)."""
-    joints, move = features.joints, Motion(Dynamics(np.full(3, process)))
+    joints, steps = features.joints, SequentialFilter(Dynamics(np.full(3, process)), None)
     values, var, mix = poses.independent
     like = ErrorCorrelation(np.full(3, process), np.asarray(np.inf), 0.0, PAST)
-    z, p = np.concatenate([joints.values[0], np.zeros(3)]), np.eye(6)
     rows = [(t, y, None) for t, y in zip(joints.t, joints.values, strict=True)]
     rows += [(t, np.full(3, np.nan), row) for row, t in enumerate(poses.t) if np.isfinite(poses.values[row]).all()]
-    last, means, covs = joints.t[0], [], []
+    state, means, covs = steps.first(joints.values[0]), [], []
     for t, y, row in sorted(rows, key=lambda one: one[0]):
-        z, p = move.move(z, p, t - last)
-        last = t
-        sights = () if row is None else (
-            PendingFrame(poses.model, t, values[row], var[row], like, LastFrame(), mix[row]),
-        )  # fmt: skip
-        found = hear(move, z, p, y, np.array(body.noise.encoder), sights)
-        z, p = found.z, found.p
+        frames = {} if row is None else {
+            "tag": PendingFrame(poses.model, t, values[row], var[row], like, LastFrame(), mix[row])
+        }  # fmt: skip
+        state = steps.step(state, t, y.tolist(), body.noise.encoder, frames)
         if row is None:
-            means.append(z[:3])
-            covs.append(p[:3, :3])
+            means.append(state.belief[:3, -1])
+            covs.append(state.belief[:3, :3])
     return np.array(means), np.array(covs)
 
 

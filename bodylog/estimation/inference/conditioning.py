@@ -193,15 +193,15 @@ def _gated(
 ) -> tuple[Array, Array]:  # fmt: skip
     """Gated variances (D,C) and `outlier_cost` (C,) of a track; projected (D,K+1,C) and s (D,D,C) are by the prior."""
     total, nu = np.einsum("ddc->dc", s) + var, (y - projected[:, -1]) * present
-    d2, size = _square(nu, total, s)
+    d2, size = mahalanobis(nu, total, s)
     inflated = raised(var, total, d2, gate)
     if inflated is var:
         return var, np.zeros(d2.shape)
-    square, whole = _square(nu, total + (inflated - var), s)
+    square, whole = mahalanobis(nu, total + (inflated - var), s)
     return inflated, outlier_cost(d2, square, np.log(whole / size))
 
 
-def _square(nu: Array, total: Array, s: Array) -> tuple[Array, Array]:
+def mahalanobis(nu: Array, total: Array, s: Array) -> tuple[Array, Array]:
     """Square of innovations nu (D,C) over variances total (D,C) and covariances s (D,D,C); the determinant (C,)."""
     off, var, cross = list(nu), list(total), [list(row) for row in s]
     square, size = off[0] * off[0] / var[0], var[0]

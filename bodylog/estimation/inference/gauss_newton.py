@@ -48,7 +48,7 @@ def initial_sweep(problem: Problem, warm: Solution | None) -> tuple[KnotProblem,
     """Knot problem, tangents and starts to begin with: from the encoders alone, or from the solution `warm`."""
     if warm is None:
         knots = knot_problem(problem)
-        return knots, *initial_tangents(knots.problem, knots.fold, knots.readings)
+        return knots, *initial_tangents(knots.problem, knots.fold)
     short = warm.knots is not None and warm.knots[1].fold is warm.fold
     knots = warm.knots[0].of(problem) if warm.knots and short else knot_problem(problem, warm.gated())
     known, lasts = warm, knots.events[knots.fold.lasts()]

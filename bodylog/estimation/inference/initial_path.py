@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...types import Array
-from .filter_records import Dynamics, KnotReadings, Pooled
+from .filter_records import Dynamics
 from .folds import Fold
 from .reacquisition import START_STD
-from .scan import scan
 from .tangents import Tangents
 
 if TYPE_CHECKING:
@@ -54,48 +53,12 @@ def handed_over(z: Array, p: Array, z_end: Array, p_end: Array) -> tuple[Array, 
     return z, p
 
 
-def initial_tangents(problem: "Problem", fold: Fold, readings: KnotReadings) -> tuple[Tangents, Array, Array]:
-    """Tangents at the initial path, or at the angles from encoders alone; each stretch's start z (K,C), p (K,K,C)."""
+def initial_tangents(problem: "Problem", fold: Fold) -> tuple[Tangents, Array, Array]:
+    """Tangents at the initial path, or at the encoders' readings; each stretch's start z (K,C), p (K,K,C)."""
     (z, p), t = priors(problem, fold), problem.timeline.t
     path, sightings = problem.path or _encoder_path(problem), problem.evidence.sightings
     z[: len(problem.start), 1:] = _between(path, problem.start, t[fold.lasts()]).T
-    points = tuple(_between(path, problem.start, sighting.t) for sighting in sightings)
-    if problem.path is None and problem.evidence.encoders is not None:
-        path_z, z, p = _reckon(readings, problem.dynamics, z, p)
-        points = tuple(fold.pick(path_z, events)[:, : len(problem.start)] for events in problem.timeline.sightings)
-    return Tangents(sightings, points), z, p
-
-
-def _reckon(readings: KnotReadings, dynamics: Dynamics, z: Array, p: Array) -> tuple[Array, Array, Array]:
-    """States (L,K,C) from encoders alone, given guesses z (K,C), p (K,K,C); and the starts of the stretches.
-
-    Without images joints are independent: each joint of a stretch is scanned as its own stretch.
-    """
-    length, m, c = readings.encoders.shape
-    s = len(z) // m
-
-    def apart(a: Array) -> Array:
-        """(L,…,M,C) -> (L,…,1,M·C)."""
-        return a.reshape(*a.shape[:-2], 1, m * c)
-
-    between = readings.pooled
-    unseen = np.empty((length, 0, 2, m * c)), np.empty((length, 0, 2, 1, m * c)), np.empty((length, 0, 2, m * c))
-    order = dynamics.order
-    alone = KnotReadings(
-        np.tile(readings.dt, m), apart(readings.encoders), apart(readings.encoder_var), *unseen,
-        Pooled(
-            apart(between.y), apart(between.var), apart(between.lean), apart(between.move), apart(between.shift),
-            apart(between.noise), np.zeros((length, m * c)),
-        ),
-        reset=None if readings.reset is None else apart(readings.reset),
-    )  # fmt: skip
-    own = np.einsum("ajbjc->abjc", p.reshape(s, m, s, m, c)).reshape(s, s, m * c)
-    one = Dynamics(np.ones(1), None if s == order else np.zeros(1), order=order)
-    trace = scan(alone, one, z.reshape(s, m * c), own)
-    whole = np.zeros((s, m, s, m, c))
-    np.einsum("ajbjc->abjc", whole)[:] = trace.p[-1].reshape(s, s, m, c)
-    z, p = handed_over(z, p, trace.z[-1].reshape(z.shape), whole.reshape(p.shape))
-    return trace.z.reshape(length, *z.shape), z, p
+    return Tangents(sightings, tuple(_between(path, problem.start, sighting.t) for sighting in sightings)), z, p
 
 
 def _encoder_path(problem: "Problem") -> tuple[Array, Array]:

@@ -1,49 +1,28 @@
-"""The filter one instant at a time in plain matrices, linearised until the belief of that instant converges."""
+"""Tracks of one instant: linearised until the belief converges, gated, and conditioned on.
+
+A belief is one array (K,K+1): the rows of the covariance, each followed by the mean.
+"""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
-from .conditioning import outlier_cost
+from .conditioning import mahalanobis, outlier_cost, raised
+from .convergence import SWEEPS
 from .filter_records import GATE
-from .motion import Motion
-
-ITERATIONS = 40
-RESTING = 1e-9
-"""rad: tolerance on the linearisation point; the belief moves by a tenth of it."""
-
 
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
 WEIGHTS /= WEIGHTS.sum()
-LASTING = 10.0
+PERSISTENCE = 10.0
 """Factor on the time for which the residual of a line lasts, by the belief.
 
 Of 1, 3.3, 10 and 33 on 26 drawn silences of 5 s, filters have NEES 7.5, 3.4, 1.6, 1.6 and errors of 0.20, 0.18, 0.18,
 0.19 rad.
 """
-
-
-@dataclass(frozen=True, eq=False)
-class StepResult:
-    """After an instant: state z (K,), p (K,K) · nats · linearisation point (M,) · what each track remembers.
-
-    Errors in standard deviations: encoder_d (M,), NaN where silent, and `errors` (2,) of each track · lines: the
-    tracks' linearisations before gating.
-    """
-
-    z: Array
-    p: Array
-    nats: float
-    point: Array
-    encoder_d: Array
-    errors: tuple[Array, ...]
-    memories: tuple[LastFrame, ...]
-    lines: "Lines | None" = None
 
 
 class Line(NamedTuple):
@@ -52,124 +31,71 @@ class Line(NamedTuple):
     nats: the outlier's cost · memory of the track.
     """
 
-    y: Array
     jac: Array
+    y: Array
     var: Array
     memory: LastFrame
     nats: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Lines:
-    """All tracks, linearised about one point (M,)."""
+def errors(m: int, prior: Array, sights: Sequence[PendingFrame]) -> list[Array]:
+    """Innovations (D,) of each track in standard deviations, by the belief `prior` before the instant."""
+    x, cov, found = prior[:m, -1], prior[:m, :m], []
+    for sight in sights:
+        mean, jac, model = sight.predicted(x)
+        found.append((sight.value - mean) / np.sqrt(((jac @ cov) * jac).sum(axis=1) + sight.var + model))
+    return found
 
-    point: Array
-    tracks: tuple[Line, ...]
 
+def tangents(
+    m: int, prior: Array, given: Array, sights: Sequence[PendingFrame], resting: float
+) -> tuple[Array, list[Line]]:
+    """The point (M,) where the belief converges to `resting` rad, or moves least, and the tracks' tangents there.
 
-def hear(
-    motion: Motion, z: Array, p: Array, encoders: Array, encoder_var: Array, sights: Sequence[PendingFrame],
-    resting: float = RESTING, adrift: bool = False,
-) -> StepResult:  # fmt: skip
-    """Condition z (K,), p (K,K) on encoders (M,) rad, NaN where silent, and on tracks.
-
-    `resting` (rad): tolerance on the linearisation point · adrift: use a statistical linearisation, not a tangent.
+    The search starts from the encoders' posterior `given`. The gate is the `prior`'s, so the order of senses does not
+    matter.
     """
-    encoder_var, encoder_d = _gated_encoders(motion, z, p, encoders, encoder_var)
-    given, more = _encoders(motion, z, p, encoders, encoder_var), float(outlier_cost(encoder_d * encoder_d).sum())
-    if not sights:
-        return StepResult(*given[:2], given[2] + more, given[0][: motion.joints], encoder_d, (), ())
-    whole, errors = _statistical_linearisation(motion.joints, (z, p), given[:2], sights) if adrift else (None, ())
-    if whole is None:
-        lines, errors = _rested(motion.joints, (z, p), given[:2], sights, resting)
-    else:
-        m = motion.joints
-        lines = replace(whole, tracks=tuple(_gated(line, z[:m], p[:m, :m]) for line in whole.tracks))
-    z, p, seen = _seen(z, p, lines)
-    z, p, nats = _encoders(motion, z, p, encoders, encoder_var)
-    memories = tuple(line.memory for line in lines.tracks)
-    return StepResult(z, p, seen + nats + more, lines.point, encoder_d, errors, memories, whole)
-
-
-def _gated_encoders(motion: Motion, z: Array, p: Array, readings: Array, var: Array) -> tuple[Array, Array]:
-    """Encoder variances (M,) after gating, and the innovations in standard deviations (M,)."""
-    m, diagonal = motion.joints, np.diagonal(p)
-    s, nu = diagonal[:m] + var, readings - z[:m]
-    if motion.offset is not None:
-        s, nu = s + diagonal[motion.offset :] + 2.0 * np.diagonal(p[:m, motion.offset :]), nu - z[motion.offset :]
-    d = nu / np.sqrt(s)
-    gated, own = var + s * _excess(d * d), motion.is_prior
-    return (gated, d) if own is None else (np.where(own, var, gated), np.where(own, np.nan, d))
-
-
-def _excess(d2: Array) -> Array:
-    """Prior variances by which the noise grows: 0 inside the gate, (d/GATE)⁴ − 1 outside; NaN counts as inside."""
-    return np.asarray(np.square(np.fmax(d2 / GATE**2, 1.0)) - 1.0)
-
-
-def _encoders(motion: Motion, z: Array, p: Array, readings: Array, var: Array) -> tuple[Array, Array, float]:
-    """z, p given the encoders, one after the other, and the nats of those not from the posture prior."""
-    z, p, offset, nats = z.copy(), p.copy(), motion.offset, 0.0
-    for j in np.flatnonzero(np.isfinite(readings)):
-        ph, nu = p[:, j].copy(), float(readings[j] - z[j])
-        if offset is not None:
-            ph += p[:, offset + j]
-            nu -= float(z[offset + j])
-        s = float(ph[j] + (0.0 if offset is None else ph[offset + j]) + var[j])
-        if not s > 0.0:
-            raise np.linalg.LinAlgError(f"encoder {j + 1} has the predicted variance {s:.3g} rad²")
-        gain = ph / s
-        z += gain * nu
-        p -= gain[:, None] * ph
-        if motion.is_prior is None or not motion.is_prior[j]:
-            nats += 0.5 * (nu * nu / s + math.log(2.0 * math.pi * s))
-    return z, p, nats
-
-
-def _rested(
-    m: int, prior: tuple[Array, Array], given: tuple[Array, Array], sights: Sequence[PendingFrame], resting: float
-) -> tuple[Lines, tuple[Array, ...]]:
-    """Linearise the tracks where the belief converges, or moves least, starting from the encoders' posterior `given`.
-
-    Also their errors in standard deviations. Errors and gate use the `prior`, so the order of senses does not matter.
-    """
-    x, first, cov = prior[0][:m], prior[0][:m], prior[1][:m, :m]
-    start, spread, errors = given[0][:m], given[1][:m, :m], tuple[Array, ...]()
+    x, posterior = prior[:m, -1].copy(), given[:m, [*range(m), -1]]
     went = last = np.zeros(m)
-    least, best = math.inf, None
-    for iteration in range(ITERATIONS):
-        drawn = [_line(sight, x) for sight in sights]
-        if iteration == 0:
-            errors = tuple(apart for _, apart in (_innovation(sight, x, cov) for sight in sights))
-        lines = [_gated(line, first, cov) for line in drawn]
-        move = start + _pulled(start, spread, lines) - x
+    least, best = math.inf, (x, list[Line]())
+    for _ in range(SWEEPS):
+        lines = [_tangent(sight, x) for sight in sights]
+        rows, known, _ = _projected(posterior, [gated(line, prior) for line in lines])
+        move = posterior[:, -1] - rows[:, :-1].T @ known[:, -1] - x
         size = max(map(abs, move.tolist()))
-        if best is None or size < least:
-            least, best = size, Lines(x, tuple(lines))
+        if not size >= least:
+            least, best = size, (x, lines)
         if size < resting:
             break
         went, last = _accelerated(move, last, went), move
         x = x + went
-    assert best is not None
-    return best, errors
+    return best
 
 
-def _statistical_linearisation(
-    m: int, prior: tuple[Array, Array], given: tuple[Array, Array], sights: Sequence[PendingFrame]
-) -> tuple[Lines, tuple[Array, ...]]:
-    """Lines of least squared residual over the encoders' posterior `given`; errors by the prior's tangents.
+def _tangent(sight: PendingFrame, x: Array) -> Line:
+    mean, jac, _, var, memory = sight.at(x)
+    return Line(jac, sight.value - mean + jac @ x, var, memory)
+
+
+def _accelerated(move: Array, last: Array, went: Array) -> Array:
+    """Next step (M,) from Gauss–Newton's `move`, the `last` one and the step taken then: Anderson mixing."""
+    turn = move - last
+    size = turn @ turn
+    return move if size == 0.0 or not went.any() else move - (turn @ move / size) * (went + turn)
+
+
+def statistical_lines(m: int, given: Array, sights: Sequence[PendingFrame]) -> tuple[Array, list[Line]]:
+    """The mean (M,) of the encoders' posterior `given`, and lines of least squared residual over it.
 
     The residual is added as noise: the tangent of a wide belief claims too much. It is a function of the belief's
     error, which lasts: with a Gaussian correlation over √(variance of the angle / of the rate), it counts √π of that,
-    over the time between frames, as often; LASTING times more, as a wrong belief takes itself for a short one.
+    over the time between frames, as often; PERSISTENCE times more, as a wrong belief takes itself for a short one.
     """
-    errors = tuple(_innovation(sight, prior[0][:m], prior[1][:m, :m])[1] for sight in sights)
-    x, (var, axes) = given[0][:m], np.linalg.eigh(given[1][:m, :m])
-    lasts = LASTING * math.sqrt(math.pi * var[-1] / (axes[:, -1] @ given[1][m : 2 * m, m : 2 * m] @ axes[:, -1]))
+    x, (var, axes) = given[:m, -1], np.linalg.eigh(given[:m, :m])
+    lasts = PERSISTENCE * math.sqrt(math.pi * var[-1] / (axes[:, -1] @ given[m : 2 * m, m : 2 * m] @ axes[:, -1]))
     steps = np.sqrt(np.maximum(var, np.finfo(float).tiny))[:, None] * axes.T
     often = [1.0 / math.tanh((sight.t - sight.memory.t) / lasts) for sight in sights]
-    drawn = (_line_of_belief(sight, x, steps, one) for sight, one in zip(sights, often, strict=True))
-    return Lines(x, tuple(drawn)), errors
+    return x, [_line_of_belief(sight, x, steps, one) for sight, one in zip(sights, often, strict=True)]
 
 
 def _line_of_belief(sight: PendingFrame, x: Array, steps: Array, often: float) -> Line:
@@ -186,79 +112,37 @@ def _line_of_belief(sight: PendingFrame, x: Array, steps: Array, often: float) -
     slope, middle = np.linalg.solve(steps, slopes).T, g[len(NODES) // 2, 0]
     middle = middle + (means - middle).sum(axis=0)
     spread, turn = np.linalg.eigh(often * np.einsum("kad,kae->de", missed, missed) + np.diag(own))
-    return Line(turn.T @ (sight.value - middle + slope @ x), turn.T @ slope, spread, memory)
+    return Line(turn.T @ slope, turn.T @ (sight.value - middle + slope @ x), spread, memory)
 
 
-def _line(sight: PendingFrame, x: Array) -> Line:
-    """The track's tangent at x."""
-    mean, jac, _, var, memory = sight.at(x)
-    return Line(sight.value - mean + jac @ x, jac, var, memory)
-
-
-def _innovation(sight: PendingFrame, x: Array, cov: Array) -> tuple[Array, Array]:
-    """Innovation (D,) for a belief x (M,), cov (M,M); and the same in standard deviations."""
-    mean, jac, model = sight.predicted(x)
-    innovation = sight.value - mean
-    return innovation, innovation / np.sqrt(((jac @ cov) * jac).sum(axis=1) + sight.var + model)
-
-
-def _accelerated(move: Array, last: Array, went: Array) -> Array:
-    """Next step (M,) from Gauss–Newton's `move`, the `last` one and the step taken then: Anderson mixing."""
-    turn = move - last
-    size = turn @ turn
-    return move if size == 0.0 or not went.any() else move - (turn @ move / size) * (went + turn)
-
-
-def _gated(line: Line, x: Array, cov: Array) -> Line:
-    """The line with inflated variances if it lies outside the gate of the prior x (M,), cov (M,M)."""
-    total, nu = line.jac @ cov @ line.jac.T, line.y - line.jac @ x
-    if len(nu) == 2:
-        (a, b), (_, c) = total.tolist()
-        (u, v), (first, second) = nu.tolist(), line.var.tolist()
-        a, c = a + first, c + second
-        d2 = (c * u * u - 2.0 * b * u * v + a * v * v) / (a * c - b * b)
-        more = [a, c]
-    else:
-        whole = total + np.diag(line.var)
-        d2, more = float(nu @ np.linalg.solve(whole, nu)), np.diagonal(whole).tolist()
-    over = d2 / (GATE * GATE)
-    if not over > 1.0:
+def gated(line: Line, prior: Array) -> Line:
+    """The line with inflated variances if it lies outside the gate of the belief `prior`."""
+    m = line.jac.shape[1]
+    projected = line.jac @ prior[:m]
+    cross, nu = projected[:, :m] @ line.jac.T, line.y - projected[:, -1]
+    total = cross.diagonal() + line.var
+    d2, size = mahalanobis(nu.tolist(), total.tolist(), cross.tolist())
+    if not d2 > GATE * GATE:
         return line
-    var = line.var + (over * over - 1.0) * np.array(more)
-    before, after = total + np.diag(line.var), total + np.diag(var)
-    logs = np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]
-    cost = outlier_cost(np.array(d2), nu @ np.linalg.solve(after, nu), logs)
-    return line._replace(var=var, nats=line.nats + float(cost))
+    var = raised(line.var, total, np.array(d2))
+    inflated, whole = mahalanobis(nu, total + (var - line.var), cross)
+    return line._replace(var=var, nats=float(outlier_cost(np.array(d2), inflated, np.log(whole / size))))
 
 
-def _pulled(x: Array, cov: Array, lines: Sequence[Line]) -> Array:
-    """Move (M,) of a belief x (M,), cov (M,M) by the lines."""
-    h, y, var = _rows(lines)
-    lean = cov @ h.T
-    s = h @ lean
+def condition(belief: Array, lines: Sequence[Line]) -> float:
+    """Condition a belief (K,K+1), in place, on lines; their nats."""
+    rows, known, s = _projected(belief, lines)
+    belief -= rows[:, :-1].T @ known
+    own = sum(line.nats for line in lines)
+    return 0.5 * float(rows[:, -1] @ known[:, -1] + np.linalg.slogdet(2.0 * math.pi * s)[1]) + own
+
+
+def _projected(belief: Array, lines: Sequence[Line]) -> tuple[Array, Array, Array]:
+    """H P, followed by the predictions less the readings, (R,K+1); the same over their covariance; that (R,R)."""
+    jac, y, var = (p[0] if len(p) == 1 else np.concatenate(p) for p in zip(*(line[:3] for line in lines), strict=True))
+    m = jac.shape[1]
+    rows = jac @ belief[:m]
+    rows[:, -1] -= y
+    s = rows[:, :m] @ jac.T
     np.einsum("rr->r", s)[:] += var
-    return np.asarray(lean @ np.linalg.solve(s, y - h @ x))
-
-
-def _rows(lines: Sequence[Line]) -> tuple[Array, Array, Array]:
-    """All rows of lines: jac (R,M), y (R,), var (R,)."""
-    if len(lines) == 1:
-        return lines[0].jac, lines[0].y, lines[0].var
-    return (
-        np.concatenate([line.jac for line in lines]), np.concatenate([line.y for line in lines]),
-        np.concatenate([line.var for line in lines]),
-    )  # fmt: skip
-
-
-def _seen(z: Array, p: Array, lines: Lines) -> tuple[Array, Array, float]:
-    """z, p conditioned on the lines, and their nats."""
-    h, y, var = _rows(lines.tracks)
-    m = h.shape[1]
-    ph = p[:, :m] @ h.T
-    s, nu = h @ ph[:m], y - h @ z[:m]
-    np.einsum("rr->r", s)[:] += var
-    known = np.linalg.solve(s, np.column_stack([ph.T, nu]))
-    gain, left = known[:, :-1].T, known[:, -1]
-    own = sum(line.nats for line in lines.tracks)
-    nats = 0.5 * float(nu @ left + np.linalg.slogdet(2.0 * math.pi * s)[1]) + own
-    return z + gain @ nu, p - gain @ ph.T, nats
+    return rows, np.linalg.solve(s, rows), s

@@ -4,15 +4,16 @@ Images alone may leave a direction undetermined or have several solutions, and a
 overconfident. If a single encoder is wrong, no posture fits both it and the images.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from ...types import Array, Finding
 from ..measurements.records import Encoders, Evidence
-from ..noise.correlated_noise import LastFrame, PendingFrame
+from ..noise.correlated_noise import PendingFrame
+from .filter_records import GATE
 from .motion import carry
 
 START_STD = (1.0, 1.0, 3.0)
@@ -21,98 +22,69 @@ SURE = 0.5
 """Share of that below which a belief counts as known, so that a reading can confirm it."""
 SILENCE = 0.5
 """s: after a longer silence an encoder must confirm the belief before the gate may reject it."""
-VAGUE = 100.0
-"""rad: a larger standard deviation resets the angle, before rounding swallows a reading's variance."""
 NAMED = 3
 """Resets named in a finding."""
-APART = 3.0
-"""Standard deviations between a posture and an image that disagree."""
 
 
-@dataclass(frozen=True, eq=False)
-class AcquisitionState:
-    """When each encoder confirmed the belief last, (M,) s, −∞ for never, and the last frame of each track."""
+def vague(belief: Array, joints: int) -> Array:
+    """The `joints` (M,) bool of a belief (K,K+1) whose angles are unknown: their standard deviation exceeds a turn."""
+    return np.asarray(belief.diagonal()[:joints] > math.tau**2)
 
-    borne: Array
-    seen: Mapping[Any, PendingFrame]
 
-    @staticmethod
-    def initial(joints: int) -> "AcquisitionState":
-        """Before the first instant."""
-        return AcquisitionState(np.full(joints, -np.inf), {})
+def lost_joints(
+    t: float, ages: Array, belief: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame], order: int
+) -> tuple[Array | None, Array]:
+    """Joints (M,) bool that a belief (K,K+1) has lost by t (s), or None; encoders that confirm it.
 
-    def mute(self, t: float) -> Array:
-        """Joints (M,) bool whose encoders have not confirmed the belief for SILENCE before t (s)."""
-        return np.asarray(t - self.borne > SILENCE)
+    ages (M,) s: time since each encoder confirmed it last · readings (M,), NaN where silent, with variances var · seen:
+    last frame of each track · order: the motion's. If some encoders were silent for long, the belief is lost if a wide
+    prior for their joints makes all readings likelier, and the images agree with that.
+    """
+    z, p, m = belief[:, -1], belief[:, :-1], len(readings)
+    present, mute = np.isfinite(readings), ages > SILENCE
+    # a wide belief follows a reading, so the reading does not confirm it
+    tested = present & mute & (np.diagonal(p)[:m] < (SURE * START_STD[0]) ** 2)
+    if not tested.any():
+        return None, present & ~mute
+    rows = np.eye(m, len(z)) + np.eye(m, len(z), order * m)
+    h, nu, noise = rows[present], (readings - rows @ z)[present], np.diag(var[present])
+    x, cov = z.copy(), p.copy()
+    forget(x, cov, mute, readings, 0.0, order)
+    total = h @ cov @ h.T + noise
+    # encoders that were not mute still contradict the reset belief
+    if _nats((readings - rows @ x)[present], total) >= _nats(nu, h @ p @ h.T + noise):
+        return None, present & ~mute | tested
+    gain = np.linalg.solve(total, h @ cov).T
+    x, cov = x + gain @ (readings[present] - h @ x), cov - gain @ h @ cov
+    lost = all(_agree(x, cov, m, t - sight.t, sight, order) for sight in seen.values())
+    return mute if lost else None, present & ~mute
 
-    def held(self, t: float) -> Array:
-        """Joints (M,) bool, read before, that are silent at t (s) and that images, with no more numbers, leave open."""
-        silent, numbers = self.mute(t) & np.isfinite(self.borne), self._numbers(t)
-        return np.asarray(silent & (numbers <= silent.sum()))
 
-    def adrift(self, t: float) -> bool:
-        """Whether images at t (s) hardly determine silent joints."""
-        return self._numbers(t) > 0 and bool(self.held(t).any())
+def open_joints(ages: Array, numbers: Array | int) -> Array:
+    """Joints (…,M) bool read last `ages` (…,M) s ago, long before now, that images of `numbers` (…) values leave open.
 
-    def _numbers(self, t: float) -> int:
-        return sum(len(sight.value) for sight in self.seen.values() if t - sight.t <= SILENCE)
-
-    def with_last_frame(self, track: Any, sight: PendingFrame) -> PendingFrame:
-        """A frame with its track's last one."""
-        return replace(sight, memory=self.seen[track].memory) if track in self.seen else sight
-
-    def after(
-        self, t: float, borne: Array, here: Mapping[Any, PendingFrame], memories: Iterable[LastFrame]
-    ) -> "AcquisitionState":
-        """The state after encoders confirmed the belief at t (s), (M,) bool, and frames left memories."""
-        seen = {track: replace(sight, memory=left) for (track, sight), left in zip(here.items(), memories, strict=True)}
-        return AcquisitionState(np.where(borne, t, self.borne), {**self.seen, **seen} if seen else self.seen)
-
-    def judge(
-        self, t: float, z: Array, p: Array, readings: Array, var: Array, seen: bool, order: int = 2
-    ) -> tuple[Array | None, Array]:  # fmt: skip
-        """Joints (M,) bool that the belief z (K,), p (K,K) has lost by t (s), or None; encoders that confirm it.
-
-        readings (M,), NaN where silent, with variances var; `seen`: there is an image; order: the motion's. A joint is
-        lost if the belief is vague when its encoder reads. If some are mute, the belief is also lost if a wide prior
-        for these joints makes all readings likelier, and the images agree with that.
-        """
-        present, mute, m = np.isfinite(readings), self.mute(t), len(readings)
-        vague = (np.diagonal(p)[:m] > VAGUE**2) & (present | seen)
-        if vague.any():
-            return vague, present & ~mute
-        # a wide belief follows a reading, so the reading does not confirm it
-        tested = present & mute & (np.diagonal(p)[:m] < (SURE * START_STD[0]) ** 2)
-        if not tested.any():
-            return None, present & ~mute
-        rows = np.eye(m, len(z)) + np.eye(m, len(z), order * m)
-        h, nu, noise = rows[present], (readings - rows @ z)[present], np.diag(var[present])
-        x, cov = z.copy(), p.copy()
-        forget(x, cov, mute, readings, 0.0, order)
-        total = h @ cov @ h.T + noise
-        # encoders that were not mute still contradict the reset belief
-        if _nats((readings - rows @ x)[present], total) >= _nats(nu, h @ p @ h.T + noise):
-            return None, present & ~mute | tested
-        gain = np.linalg.solve(total, h @ cov).T
-        x, cov = x + gain @ (readings[present] - h @ x), cov - gain @ h @ cov
-        lost = all(_agree(x, cov, m, t - sight.t, sight, order) for sight in self.seen.values())
-        return mute if lost else None, present & ~mute
+    ages is infinite before the first reading.
+    """
+    silent = np.isfinite(ages) & (ages > SILENCE)
+    return np.asarray(silent & (numbers <= silent.sum(axis=-1))[..., None])
 
 
 def silent(t: Array, encoders: Encoders) -> Array:
     """Joints (E,M) bool whose encoders, read before, have been silent for long at times t (E,) s."""
-    return np.stack([_since(encoders.t[np.isfinite(column)], t) > SILENCE for column in encoders.values.T], axis=1)
+    return _ages(t, encoders) > SILENCE
 
 
 def left_open(t: Array, evidence: Evidence) -> Array:
     """Silent joints (E,M) bool at times t (E,) s that images of the time before, with no more numbers, leave open."""
     assert evidence.encoders is not None
-    joints = silent(t, evidence.encoders)
-    if not joints.any():
-        return joints
     seen = [(s.t[np.isfinite(s.values).all(axis=1)], s.values.shape[1]) for s in evidence.sightings]
     numbers = sum((rows * (np.abs(_since(times, t)) <= SILENCE) for times, rows in seen), np.zeros(len(t)))
-    return np.asarray(joints & (numbers <= joints.sum(axis=1))[:, None])
+    return open_joints(_ages(t, evidence.encoders), numbers)
+
+
+def _ages(t: Array, encoders: Encoders) -> Array:
+    """Times (E,M) s since each encoder's last reading before t (E,) s; −∞ before the first."""
+    return np.stack([_since(encoders.t[np.isfinite(column)], t) for column in encoders.values.T], axis=1)
 
 
 def _since(known: Array, t: Array) -> Array:
@@ -161,4 +133,4 @@ def _agree(z: Array, p: Array, m: int, age: float, sight: PendingFrame, order: i
     x, cov = back @ z[:states], back @ p[:states, :states] @ back.T
     mean, jac, model = sight.predicted(x)
     nu, s = sight.value - mean, jac @ cov @ jac.T + np.diag(model + sight.var)
-    return float(nu @ np.linalg.solve(s, nu)) <= APART**2
+    return float(nu @ np.linalg.solve(s, nu)) <= GATE**2
