@@ -17,10 +17,8 @@ from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import Problem
 from ..inference.solution import Solution
 from ..noise.evidence_search import ROUGHLY
+from .repeats import SILENT
 from .threshold import FAR
-
-AROUND = 40
-"""Readings on each side among which a step's time is refined."""
 
 
 class Way(NamedTuple):
@@ -56,72 +54,53 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
     None where the log determines no step, or without convergence.
     """
     # pooled readings of a known solution would still have the step
-    fresh, encoders, first = replace(solved, knots=None), problem.evidence.encoders, wandering.dynamics.offset
-    assert encoders is not None and first is not None
+    fresh, encoders = replace(solved, knots=None), problem.evidence.encoders
+    assert encoders is not None
+    y, t = encoders.values[:, joint], encoders.t
+
+    def found(posed: Problem) -> Solution:
+        return solve(posed, fresh, rest=ROUGHLY)
 
     def trial(row: int, size: float) -> _Trial:
-        without = _without(problem, joint, row, size)
-        return _Trial(row, size, without, solve(without, fresh, rest=ROUGHLY))
+        without = _with_readings(problem, joint, np.where(np.arange(len(y)) >= row, y - size, y))
+        return _Trial(row, size, without, found(without))
+
+    def divided(posed: Problem) -> tuple[int, float]:
+        solution = found(posed)
+        return _two_levels(y - solution.fold.unfold(solution.trace.z[:, joint])[problem.timeline.encoders])
 
     try:
-        row, size = _two_levels(_at_readings(wandering, solve(wandering, fresh, rest=ROUGHLY), first + joint))
+        late, size = divided(wandering)
+        # a filter takes a step for motion at first: in the second before, images alone tell the angle
+        unsure = (t > t[late] - SILENT) & (t <= t[late])
+        masked = np.where(unsure, np.nan, np.where(t > t[late], y - size, y))
+        seen, _ = divided(_with_readings(problem, joint, masked))
+        steps = np.sign(size) * np.diff(y, prepend=np.nan)
+        steepest = int(np.where(unsure & np.isfinite(steps), steps, -np.inf).argmax())
+        best = min((trial(row, size) for row in sorted({late, seen, steepest})), key=lambda one: one.nats)
         # an encoder that is off within the first second is off from the start
-        late = encoders.t - encoders.t[0] >= 1.0
-        chosen = _located(trial, encoders.values[:, joint], row, size, joint) if late[row] else None
-        if chosen is None or not late[chosen.row]:
-            chosen = trial(0, size)
-        return _sized(trial, chosen, problem.evidence.joints[joint], encoders.t)
+        best = best if t[best.row] - t[0] >= SILENT else trial(0, size)
+        return _sized(trial, best, problem.evidence.joints[joint], t)
     except DidNotConverge:
         return None
 
 
-def _without(problem: Problem, joint: int, row: int, size: float) -> Problem:
-    """The problem with a step taken out of one encoder's readings."""
+def _with_readings(problem: Problem, joint: int, y: Array) -> Problem:
+    """The problem with other readings y (N,) rad of one encoder."""
     encoders = problem.evidence.encoders
     assert encoders is not None
-    values = encoders.values.copy()
-    values[row:, joint] -= size
+    values = np.where(np.arange(encoders.values.shape[1]) == joint, y[:, None], encoders.values)
     return replace(problem, evidence=replace(problem.evidence, encoders=replace(encoders, values=values)))
 
 
-def _at_readings(problem: Problem, solved: Solution, state: int) -> Array:
-    """One filtered state (N,) at the encoders' readings."""
-    return np.asarray(solved.fold.unfold(solved.trace.z[:, state])[problem.timeline.encoders])
-
-
-def _two_levels(path: Array) -> tuple[int, float]:
-    """The row from which on a path (N,) is best described by one level instead of 0, and that level."""
-    count = np.arange(len(path), 0, -1)
-    level = np.cumsum(path[::-1])[::-1] / count
+def _two_levels(off: Array) -> tuple[int, float]:
+    """The row from which on residuals (N,), NaN where missing, are best described by one level instead of 0, and that
+    level.
+    """
+    count = np.maximum(np.isfinite(off)[::-1].cumsum()[::-1], 1)
+    level = np.nan_to_num(off)[::-1].cumsum()[::-1] / count
     row = int((count * level**2).argmax())
     return row, float(level[row])
-
-
-def _located(trial: Callable[[int, float], _Trial], y: Array, row: int, size: float, joint: int) -> _Trial:
-    """The trial of least cost among rows about the first guess, for readings y (N,) rad."""
-    tried = list[_Trial]()
-    for guess in {row, _steepest(y, row, size)}:
-        rows = set[int]()
-        while guess not in rows and len(rows) < 6:
-            rows.add(guess)
-            tried.append(trial(guess, size))
-            guess = _boundary(y - _at_readings(tried[-1].problem, tried[-1].solved, joint), guess, size)
-    return min(tried, key=lambda one: one.nats)
-
-
-def _steepest(y: Array, row: int, size: float) -> int:
-    """The row about `row` at which readings y (N,) change most towards the size."""
-    low, high = max(1, row - AROUND), min(len(y), row + AROUND)
-    change = np.sign(size) * np.diff(y[low - 1 : high])
-    return low + int(np.where(np.isfinite(change), change, -np.inf).argmax()) if high > low else row
-
-
-def _boundary(off: Array, row: int, size: float) -> int:
-    """The row about `row` that best divides residuals off (N,) into those about 0 and those about the size."""
-    low = max(0, row - AROUND)
-    near = off[low : row + AROUND]
-    # squared distance from 0 less that from the size, summed over the rows before
-    return low + int(np.append(0.0, np.cumsum(np.nan_to_num(size * (2.0 * near - size)))).argmin())
 
 
 def _sized(trial: Callable[[int, float], _Trial], best: _Trial, name: str, t: Array) -> Way | None:
