@@ -41,12 +41,11 @@ def _present(features: Features, body: BodyModel, wanted: set[str]) -> dict[str,
 
 def ignored_settings(settings: Estimation) -> tuple[Finding, ...]:
     """Warnings for settings that differ from their defaults and that the method ignores."""
-    heeds = METHODS[settings.method].heeds if settings.preset != "paper" else frozenset[str]()
-    typed = [key for key in settings.typed if key not in METHODS[settings.method].heeds]
-    by = f"{settings.method}{' with the preset paper' * (settings.preset == 'paper')}"
-    asked = {"bias": "on", "precision": "model"}
-    set_to = {name: value for name, value in asked.items() if name not in heeds and getattr(settings, name) == value}
-    ignored = {**set_to, **{key: settings.typed[key] for key in typed}}
+    heeds, paper = METHODS[settings.method].heeds, settings.preset == "paper"
+    asked = {"bias": "on", "precision": "model"}.items()
+    set_to = {name: value for name, value in asked if getattr(settings, name) == value and (paper or name not in heeds)}
+    ignored = {**set_to, **{key: value for key, value in settings.typed.items() if key not in heeds}}
+    by = f"{settings.method}{' with the preset paper' * paper}"
     return tuple(
         Finding("warning", f"{name}: {value!r} is ignored by {by}; leave it out, or type --method laplace")
         for name, value in ignored.items()

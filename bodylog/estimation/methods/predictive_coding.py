@@ -103,15 +103,11 @@ def step_warning(plan: Plan) -> tuple[Finding, ...]:
     if plan.encoders is not None and not plan.encoders.printed:
         least = plan.encoders.sigma.min(axis=0) * GAINS[0] / (1.0 - GAINS[0])
         plan = replace(plan, sigma_x=np.minimum(plan.sigma_x, least))
-    rate = _rounded_up(1.0 / (MARGIN * stable_step(plan)))
+    rate = 1.0 / (MARGIN * stable_step(plan))
+    unit = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
+    rate = float(np.ceil(rate / unit) * unit)  # rounded up to two digits
     text = f"explicit with Δt {plan.dt:g} s is unstable, the largest stable Δt is {1.0 / rate:.2g} s"
     return (Finding("warning", f"step: {text}; type --rate {rate:g} or --step implicit"),)
-
-
-def _rounded_up(rate: float) -> float:
-    """Rounded up to two digits."""
-    unit = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
-    return float(np.ceil(rate / unit) * unit)
 
 
 def _without_encoders(plan: Plan, evidence: Evidence, names: tuple[str, ...]) -> tuple[Finding, ...]:
