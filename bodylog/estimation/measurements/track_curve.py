@@ -21,7 +21,7 @@ BLUR, SLOW, GAP = 0.1, 0.08, 3.5
 """Share of noise in the track's speed above which frames are averaged in pairs, their longest interval (s), and the
 largest gap to interpolate, in median steps."""
 COARSE = 0.25
-"""s: frames farther apart are not interpolated."""
+"""s: frames farther apart are not interpolated: their errors would show a moved camera."""
 
 
 @dataclass(frozen=True, eq=False)
