@@ -6,10 +6,10 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Finding
-from ..inference.reacquisition import NAMED
 from ..measurements.gather import silent
 from ..measurements.long_arrays import rows
 from ..measurements.records import Encoders, Evidence, Sighting
+from ..measurements.wording import listed
 from .contract import Verdict
 
 LONG = 1.0
@@ -41,9 +41,8 @@ def silence_findings(
         groups.setdefault(tuple(_silent_from(frames, encoders.t[rows(np.isfinite(column))])), []).append(name)
     for when, joints in groups.items():
         if when and (len(joints) > seen or len(joints) == len(names)):
-            more = f" and {len(when) - NAMED} times more" if len(when) > NAMED else ""
             loose = f": {seen} numbers per image do not determine {len(joints)} joints, error bars may be too small"
-            text = f"encoders: {', '.join(joints)} silent from {', from '.join(when[:NAMED])}{more}"
+            text = f"encoders: {', '.join(joints)} silent from {listed(when, ' times', ', from ')}"
             yield Finding("warning", f"{text}, while images continue{loose * (len(joints) > seen)}")
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...types import Array, Finding
 from ..measurements.records import Encoders, Evidence
+from ..measurements.wording import listed
 from ..noise.correlated_noise import PendingFrame
 from .filter_records import GATE
 from .motion import carry
@@ -22,8 +23,6 @@ SURE = 0.5
 """Share of that below which a belief counts as known, so that a reading can confirm it."""
 SILENCE = 0.5
 """s: after a longer silence an encoder must confirm the belief before the gate may reject it."""
-NAMED = 3
-"""Resets named in a finding."""
 
 
 def vague(belief: Array, joints: int) -> Array:
@@ -96,9 +95,8 @@ def named(names: tuple[str, ...], t: Array, reset: Array) -> Iterator[Finding]:
     """A warning for joints reset at some of the instants t (E,) s, reset (E,M) bool."""
     at, joints = np.flatnonzero(reset.any(axis=1)), ", ".join(names[j] for j in np.flatnonzero(reset.any(axis=0)))
     if len(at):
-        more = f" and {len(at) - NAMED} times more" if len(at) > NAMED else ""
-        times = ", ".join(f"{t[k]:.3f}" for k in at[:NAMED])
-        text = f"belief: lost {joints} until {times} s{more} and reset there by the encoders; the angles just before"
+        times = listed([f"{t[k]:.3f}" for k in at], " times", unit=" s")
+        text = f"belief: lost {joints} until {times} and reset there by the encoders; the angles just before"
         yield Finding("warning", f"{text} are wrong")
 
 
