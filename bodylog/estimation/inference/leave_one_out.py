@@ -54,7 +54,7 @@ def _encoders(problem: Problem, x: Array, var: Array, d: Array, gate: float) -> 
         return np.empty((0, m)), np.empty((0, m))
     read = x[at, :m] + (0.0 if problem.dynamics.offset is None else x[at, problem.dynamics.offset :])
     noise = problem.precision.encoder * (1.0 if found.relative is None else found.relative)
-    used, a = np.abs(d[at]) <= gate, var[at, -m:]
+    used, a = np.abs(d[at]) <= gate, np.maximum(var[at, -m:], 0.0)  # rounding
     total = np.where(used, np.maximum(noise - a, LEAST * noise), noise + a)
     errors = (found.values - read) / np.sqrt(total)
     removed = np.isnan(d[at]) & np.isfinite(errors)
