@@ -5,6 +5,7 @@ from typing import Any
 
 from .body.senses import encoder_function
 from .body_model import BodyModel
+from .estimation.inference.reacquisition import SILENCE
 from .estimation.live import estimator
 from .estimation.live.inputs import Angles, Place, finite
 from .estimation.measurements.gather import camera
@@ -16,7 +17,7 @@ class Estimator(estimator.Estimator):
     """A filter fed as readings arrive: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
 
     def __init__(
-        self, body: BodyModel, settings: Estimation | None = None, lag: float = estimator.LAG,
+        self, body: BodyModel, settings: Estimation | None = None, lag: float = SILENCE,
         delay: Mapping[str, float] | None = None, learned: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
         """A filter for `body` with the senses, start and bias of `settings`; readings may be up to `lag` s late.

@@ -18,11 +18,6 @@ OFFSET_STD = 0.01
 """rad: prior standard deviation of an encoder offset."""
 
 
-def prior(problem: "Problem") -> tuple[Array, Array]:
-    """State z (K,) and covariance p (K,K) before any measurement."""
-    return prior_of(problem.start, problem.dynamics)
-
-
 def prior_of(start: Array, dynamics: Dynamics) -> tuple[Array, Array]:
     """State z (K,) and covariance p (K,K) at the angles `start` (M,) rad, before any measurement."""
     var = np.repeat(np.square(START_STD[: dynamics.order]), len(start))
@@ -33,7 +28,7 @@ def prior_of(start: Array, dynamics: Dynamics) -> tuple[Array, Array]:
 
 def priors(problem: "Problem", fold: Fold) -> tuple[Array, Array]:
     """The prior (K,C), (K,K,C) for every stretch."""
-    z, p = prior(problem)
+    z, p = prior_of(problem.start, problem.dynamics)
     return np.repeat(z[:, None], fold.count, axis=1), np.repeat(p[:, :, None], fold.count, axis=2)
 
 
@@ -56,21 +51,17 @@ def handed_over(z: Array, p: Array, z_end: Array, p_end: Array) -> tuple[Array, 
 def initial_tangents(problem: "Problem", fold: Fold) -> tuple[Tangents, Array, Array]:
     """Tangents at the initial path, or at the encoders' readings; each stretch's start z (K,C), p (K,K,C)."""
     (z, p), t = priors(problem, fold), problem.timeline.t
-    path, sightings = problem.path or _encoder_path(problem), problem.evidence.sightings
+    encoders, sightings = problem.evidence.encoders, problem.evidence.sightings
+    path = problem.path or (None if encoders is None else (encoders.t, encoders.values))
     z[: len(problem.start), 1:] = _between(path, problem.start, t[fold.lasts()]).T
     return Tangents(sightings, tuple(_between(path, problem.start, sighting.t) for sighting in sightings)), z, p
 
 
-def _encoder_path(problem: "Problem") -> tuple[Array, Array]:
-    encoders = problem.evidence.encoders
-    return (np.empty(0), np.empty((0, len(problem.start)))) if encoders is None else (encoders.t, encoders.values)
-
-
-def _between(path: tuple[Array, Array], start: Array, at: Array) -> Array:
+def _between(path: tuple[Array, Array] | None, start: Array, at: Array) -> Array:
     """Angles (N,M) at the times `at`, interpolated on the path (t, angles); the start angles where it is unknown."""
     x = np.repeat(start[None], len(at), axis=0)
-    for j, column in enumerate(path[1].T):
+    for j, column in enumerate(path[1].T if path else ()):
         known = np.isfinite(column)
-        if known.any():
+        if path and known.any():
             x[:, j] = np.interp(at, path[0][known], column[known])
     return x

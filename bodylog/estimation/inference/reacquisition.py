@@ -22,29 +22,43 @@ START_STD = (1.0, 1.0, 3.0)
 SURE = 0.5
 """Share of that below which a belief counts as known, so that a reading can confirm it."""
 SILENCE = 0.5
-"""s: after a longer silence an encoder must confirm the belief before the gate may reject it."""
+"""s: after a longer silence an encoder must confirm the belief before the gate may reject it.
+
+A live filter's readings may be as late: they come before their encoder counts as silent.
+"""
 
 
-def vague(belief: Array, joints: int) -> Array:
-    """The `joints` (M,) bool of a belief (K,K+1) whose angles are unknown: their standard deviation exceeds a turn."""
-    return np.asarray(belief.diagonal()[:joints] > math.tau**2)
+def reacquired(
+    t: float, dt: float, ages: Array, belief: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame],
+    now: bool, order: int,
+) -> tuple[Array | None, Array]:  # fmt: skip
+    """Joints (M,) bool that a belief (K,K+1) has lost by t (s), reset in place, or None; encoders that confirm it.
 
-
-def lost_joints(
-    t: float, ages: Array, belief: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame], order: int
-) -> tuple[Array | None, Array]:
-    """Joints (M,) bool that a belief (K,K+1) has lost by t (s), or None; encoders that confirm it.
-
-    ages (M,) s: time since each encoder confirmed it last · readings (M,), NaN where silent, with variances var · seen:
-    last frame of each track · order: the motion's. If some encoders were silent for long, the belief is lost if a wide
-    prior for their joints makes all readings likelier, and the images agree with that.
+    dt (s): since the last instant · ages (M,) s: since each encoder confirmed the belief · readings (M,), NaN where
+    silent, with variances var · seen: last frame of each track; `now`: there are further ones · order: the motion's. A
+    joint is lost if its standard deviation exceeds a turn when something is measured.
     """
-    z, p, m = belief[:, -1], belief[:, :-1], len(readings)
-    present, mute = np.isfinite(readings), ages > SILENCE
+    present, m = np.isfinite(readings), len(readings)
+    lost, confirmed = (belief.diagonal()[:m] > math.tau**2) & (present | now), present & (ages <= SILENCE)
+    if not lost.any():
+        lost, confirmed = _lost(t, ages > SILENCE, belief, readings, var, seen, order)
+    if lost.any():
+        forget(belief[:, -1], belief[:, :-1], lost, readings, dt, order)
+    return lost if lost.any() else None, confirmed
+
+
+def _lost(
+    t: float, mute: Array, belief: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame], order: int
+) -> tuple[Array, Array]:
+    """Joints (M,) bool that the belief has lost, and encoders that confirm it, after some were `mute` (M,) for long.
+
+    The belief is lost if a wide prior for these joints makes all readings likelier, and the images agree with that.
+    """
+    z, p, m, present = belief[:, -1], belief[:, :-1], len(readings), np.isfinite(readings)
     # a wide belief follows a reading, so the reading does not confirm it
     tested = present & mute & (np.diagonal(p)[:m] < (SURE * START_STD[0]) ** 2)
     if not tested.any():
-        return None, present & ~mute
+        return tested, present & ~mute
     rows = np.eye(m, len(z)) + np.eye(m, len(z), order * m)
     h, nu, noise = rows[present], (readings - rows @ z)[present], np.diag(var[present])
     x, cov = z.copy(), p.copy()
@@ -52,11 +66,10 @@ def lost_joints(
     total = h @ cov @ h.T + noise
     # encoders that were not mute still contradict the reset belief
     if _nats((readings - rows @ x)[present], total) >= _nats(nu, h @ p @ h.T + noise):
-        return None, present & ~mute | tested
+        return np.zeros(m, bool), present & ~mute | tested
     gain = np.linalg.solve(total, h @ cov).T
     x, cov = x + gain @ (readings[present] - h @ x), cov - gain @ h @ cov
-    lost = all(_agree(x, cov, m, t - sight.t, sight, order) for sight in seen.values())
-    return mute if lost else None, present & ~mute
+    return mute & all(_agree(x, cov, m, t - sight.t, sight, order) for sight in seen.values()), present & ~mute
 
 
 def open_joints(ages: Array, numbers: Array | int) -> Array:

@@ -1,7 +1,7 @@
 """The filter one instant after the other: one step, for a log and beside a robot."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from .encoder_steps import EncoderSteps
 from .filter_records import Dynamics
 from .initial_path import prior_of
 from .instant import Line
-from .reacquisition import SILENCE, forget, lost_joints, open_joints, vague
+from .reacquisition import SILENCE, open_joints, reacquired
 from .scan import EVEN
 
 
@@ -65,19 +65,21 @@ class SequentialFilter:
 
         more (M,): factor on the process variance.
         """
-        dt, m, order = t - before.t if before.t > -math.inf else 0.0, len(readings), self._dynamics.order
+        dt, order, borne = t - before.t if before.t > -math.inf else 0.0, self._dynamics.order, before.borne
         quiet, held, numbers, lost = not t - before.oldest <= SILENCE, None, 0, None
         if quiet:
+            ages = t - np.array(borne)
             numbers = sum(len(frame.value) for frame in before.seen.values() if t - frame.t <= SILENCE)
-            held = _or_none(open_joints(t - np.array(before.borne), numbers))
+            held = found if (found := open_joints(ages, numbers)).any() else None
         belief, uneven = self._steps.moved(before.belief, dt, more, held), (before.uneven + 1) % EVEN[order]
         if not uneven:  # before rounding errors grow
             belief[:, :-1] = 0.5 * (belief[:, :-1] + belief[:, :-1].T)
-        if quiet or vague(belief, m).any():
-            lost, confirmed = self._judge(before, t, belief, np.array(readings), np.array(var), bool(frames), dt)
-        else:
-            confirmed = [reading == reading for reading in readings]
-        borne = [t if sure else last for sure, last in zip(confirmed, before.borne, strict=True)]
+        confirmed: Iterable[bool] = [reading == reading for reading in readings]
+        if quiet:
+            lost, confirmed = reacquired(
+                t, dt, ages, belief, np.array(readings), np.array(var), before.seen, bool(frames), order
+            )
+        borne = [t if sure else last for sure, last in zip(confirmed, borne, strict=True)]
         if self._posture is not None and dt > 0.0:
             readings, var = (part.tolist() for part in self._posture.read(np.array(readings), np.array(var), dt))
         noise, d, nats = self._steps.gated(belief, readings, var)
@@ -86,18 +88,6 @@ class SequentialFilter:
             self._see(after, frames, readings, noise, numbers > 0 and held is not None)
         after.nats += self._steps.condition(belief, readings, noise)
         return after
-
-    def _judge(
-        self, before: State, t: float, belief: Array, readings: Array, var: Array, frames: bool, dt: float
-    ) -> tuple[Array | None, list[bool]]:  # fmt: skip
-        """Joints (M,) bool that the belief (K,K+1) has lost, reset in place, or None; encoders that confirm it."""
-        ages, order, present = t - np.array(before.borne), self._dynamics.order, np.isfinite(readings)
-        lost, confirmed = _or_none(vague(belief, len(ages)) & (present | frames)), present & (ages <= SILENCE)
-        if lost is None:
-            lost, confirmed = lost_joints(t, ages, belief, readings, var, before.seen, order)
-        if lost is not None:
-            forget(belief[:, -1], belief[:, :-1], lost, readings, dt, order)
-        return lost, confirmed.tolist()
 
     def _see(
         self, after: State, frames: Mapping[Any, PendingFrame], readings: Sequence[float], noise: Sequence[float],
@@ -117,8 +107,3 @@ class SequentialFilter:
         after.nats += instant.condition(belief, [instant.gated(line, belief) for line in lines])
         memories = (replace(sight, memory=line.memory) for sight, line in zip(sights, lines, strict=True))
         after.seen = {**seen, **dict(zip(frames, memories, strict=True))}
-
-
-def _or_none(some: Array) -> Array | None:
-    """Some joints (M,) bool; None if there are none."""
-    return some if some.any() else None

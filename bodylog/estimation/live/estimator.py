@@ -12,6 +12,7 @@ from ...settings import Estimation
 from ...types import Array, Health
 from ..faults.encoder_offset import WALKS
 from ..inference.filter_records import Dynamics
+from ..inference.reacquisition import SILENCE
 from ..inference.sequential import SequentialFilter, State
 from ..methods.table import METHODS
 from ..noise import typed
@@ -20,11 +21,6 @@ from ..noise.noise_model import carried
 from ..noise.posture_prior import prior_of, stationary
 from .inputs import Angles, Inputs, Observation, Place, ToAngles, finite
 from .replay_buffer import Instant, ReplayBuffer
-
-GIVEN = Estimation(precision="model", bias="off")
-"""Settings of a filter without knowledge of the future."""
-LAG = 0.5
-"""s: the longest delay of a reading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +45,15 @@ class Estimator:
     """A filter fed as readings arrive: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
 
     def __init__(
-        self, body: BodyModel, settings: Estimation | None = None, lag: float = LAG, to_angles: ToAngles = np.asarray,
-        learned: Mapping[str, Any] | None = None,
+        self, body: BodyModel, settings: Estimation | None = None, lag: float = SILENCE,
+        to_angles: ToAngles = np.asarray, learned: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
         """A filter for `body` with the senses, start and bias of `settings`; readings may be up to `lag` s late.
 
         `to_angles` converts encoder readings to angles · `learned`: settings of an estimate, whose variances are used.
         UsageError for settings that need the whole log, and for variances of another body.
         """
-        settings = settings or GIVEN
+        settings = settings or Estimation(precision="model", bias="off")
         _needs_no_log(settings, body)
         if not lag >= 0:
             raise UsageError(f"lag: {lag} found, a time of at least 0 s is possible")

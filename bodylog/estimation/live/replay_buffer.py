@@ -28,7 +28,7 @@ class Instant:
 
 
 class ReplayBuffer:
-    """The instants of the last `lag` seconds, and the state before them."""
+    """The instants of the last `lag` seconds, at least one, and the state before them."""
 
     def __init__(self, base: State, lag: float, step: Callable[[State, Instant], State]) -> None:
         """An empty buffer; `step` gives the state after an instant from the one before."""
@@ -54,7 +54,11 @@ class ReplayBuffer:
         self, t: float, angles: Array | None, frames: Mapping[str, PendingFrame]
     ) -> tuple[State, State, float]:  # fmt: skip
         """Insert readings at t (s) and recompute all later instants: the states after t and now, and the nats added."""
-        index = self._index(t)
+        index = len(self._instants)
+        while index and self._instants[index - 1].t >= t:
+            index -= 1
+        if index == len(self._instants) or self._instants[index].t > t:
+            self._instants.insert(index, Instant(t))
         self._instants[index].add(angles, frames)
         before = self._after(index)
         nats = 0.0
@@ -64,23 +68,7 @@ class ReplayBuffer:
             nats += before.nats - known
         then = self._instants[index].after
         assert then is not None
-        self._forget(before.t - self._lag)
+        while len(self._instants) > 1 and self._instants[0].t < before.t - self._lag:
+            self._base = self._after(1)
+            del self._instants[0]
         return then, before, nats
-
-    def _index(self, t: float) -> int:
-        """Index of the instant at t (s), inserted if missing."""
-        index = len(self._instants)
-        while index and self._instants[index - 1].t >= t:
-            index -= 1
-        if index == len(self._instants) or self._instants[index].t > t:
-            self._instants.insert(index, Instant(t))
-        return index
-
-    def _forget(self, until: float) -> None:
-        """Drop instants before `until` (s), except the last."""
-        old = 0
-        while old < len(self._instants) - 1 and self._instants[old].t < until:
-            old += 1
-        if old:
-            self._base = self._after(old)
-            del self._instants[:old]
