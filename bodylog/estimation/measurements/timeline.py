@@ -92,5 +92,4 @@ def _latest_source(evidence: Evidence, t: Array, encoders: Array, sightings: tup
         latest[encoders] = evidence.encoders.source_ns
     for sighting, events in zip(evidence.sightings, sightings, strict=True):
         latest[events] = np.maximum(latest[events], sighting.source_ns)
-    latest = np.maximum.accumulate(latest)
-    return np.where(latest == np.iinfo(np.int64).min, latest.max(), latest)
+    return np.maximum.accumulate(latest)  # the first instant is a message's

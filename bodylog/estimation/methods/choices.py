@@ -2,12 +2,10 @@
 
 from itertools import combinations
 
-import numpy as np
-
 from ...body_model import BodyModel
 from ...settings import Estimation
 from ...types import Features, Finding
-from ..measurements.gather import chosen
+from ..measurements.gather import chosen, gather
 from .table import METHODS
 
 
@@ -16,27 +14,23 @@ def subsets(features: Features, body: BodyModel, settings: Estimation) -> tuple[
 
     Also the excluded joints and tracks. UsageError if the settings name an unknown one.
     """
+    used = gather(features, body, settings).used
+    felt = features.touches and features.synchrony and features.hand is not None
+    present = {
+        "encoders": used["encoders"].used > 0,
+        "vision": any(one.used for name, one in used.items() if name not in ("encoders", "touch")),
+        "touch": "touch" in used and felt,
+    }
+    here = [name for name, there in present.items() if there]
+    rows = [some for size in range(len(here), 0, -1) for some in combinations(here, size)]
     visual = [name for name in features.tracks if name in body.senses]
     wanted = chosen(visual, body, settings)
-    here = [name for name, present in _present(features, body, wanted).items() if present]
-    rows = [some for size in range(len(here), 0, -1) for some in combinations(here, size)]
     return rows, tuple(name for name in (*body.joints, *visual) if name not in wanted)
 
 
 def usable(method: str, senses: tuple[str, ...]) -> bool:
     """Whether a method can use all these senses."""
     return METHODS[method].senses.issuperset(senses)
-
-
-def _present(features: Features, body: BodyModel, wanted: set[str]) -> dict[str, bool]:
-    joints, visual = features.joints, wanted & set(body.senses)
-    tracks = [track for name, track in features.tracks.items() if name in visual]
-    encoders = joints is not None and any(
-        np.isfinite(column).any() for name, column in zip(joints.names, joints.values.T, strict=True) if name in wanted
-    )
-    felt = bool(features.touches and features.synchrony and features.hand is not None and "effector" in body.senses)
-    seen = any(np.isfinite(track.values).all(axis=1).any() for track in tracks)
-    return {"encoders": encoders, "vision": seen, "touch": felt and "touch" in wanted}
 
 
 def ignored_settings(settings: Estimation) -> tuple[Finding, ...]:
