@@ -76,6 +76,14 @@ def test_noisy_encoders_are_weighted_by_their_noise(learned, seed):
     assert found.faults == () and found.bias is None
 
 
+def test_noise_is_learned_beside_an_encoder_that_was_never_read(learned):
+    features, q = _poses(5, noise=0.05)
+    values = np.where([False, True, False], np.nan, features.joints.values)
+    found = estimate(replace(features, joints=replace(features.joints, values=values)), learned, Estimation())
+    assert np.all(np.abs(np.log(np.sqrt(found.settings["encoder"])[[0, 2]] / 0.05)) < 0.35)
+    assert np.sqrt(np.mean((found.joints.values - q) ** 2)) < 0.05 / 4 and 0.6 < _nees(found, q) < 1.5
+
+
 @pytest.mark.parametrize(("joint", "size"), [(0, 0.05), (1, -0.03), (2, 0.05)])
 def test_offset_in_all_poses_is_named_and_removed(learned, joint, size):
     offset = tuple(size if k == joint else 0.0 for k in range(3))
@@ -140,12 +148,13 @@ def test_pose_evidence_is_a_dense_one_and_its_gradient_a_finite_difference():
     jac, nu = draw.normal(0, 200, (20, 6, 3)), draw.normal(0, 2, (20, 6))
     var = np.where(draw.random((20, 6)) < 0.2, np.inf, 0.3)
     lean = np.swapaxes(jac / var[..., None], 1, 2)
-    errors = Errors(lean @ jac, -(lean @ nu[..., None])[..., 0])
+    read, span = draw.random((20, 3)) < 0.8, np.array([0.5, 0.4, 0.3])
+    errors = Errors(lean @ jac, -(lean @ nu[..., None])[..., 0], read, span)
     seen = np.isfinite(var).ravel()
 
     def dense(log_var, free):
-        slopes = -jac.reshape(-1, 3)
-        own = [j @ np.diag(np.exp(log_var)) @ j.T for j in jac]
+        slopes = -(jac * read[:, None]).reshape(-1, 3)
+        own = [j @ np.diag(np.where(r, np.exp(log_var), span**2)) @ j.T for j, r in zip(jac, read, strict=True)]
         cov = block_diag(*own) + 0.3 * np.eye(120) + 0.3**2 * slopes @ np.diag(free.astype(float)) @ slopes.T
         some = np.linalg.slogdet(cov[np.ix_(seen, seen)])[1]
         return -0.5 * (nu.ravel()[seen] @ np.linalg.solve(cov[np.ix_(seen, seen)], nu.ravel()[seen]) + some)

@@ -2,7 +2,7 @@
 
 Linearised at the angles found, the positions of a pose give its encoders' errors e = z − q the likelihood exp(eᵀl − ½
 eᵀΛe). These errors have the encoders' variances about their offsets b. Variances and offsets maximise the evidence of
-all poses.
+all poses. An angle without a reading has its prior instead.
 """
 
 from dataclasses import dataclass
@@ -29,38 +29,44 @@ class Encoding:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What positions show of encoder errors at P poses: information Λ (P,M,M) rad⁻² and l (P,M) rad⁻¹."""
+    """What positions show of encoder errors at P poses: information Λ (P,M,M) rad⁻² and l (P,M) rad⁻¹.
+
+    read (P,M) bool: which encoders were read · span (M,) rad: prior std of the other angles.
+    """
 
     information: Array
     pull: Array
+    read: Array
+    span: Array
 
 
 def learned(poses: Poses, known: Array, names: tuple[str, ...], noise: bool, bias: str) -> Encoding:
     """Learn variances from `known` (M,) rad² if `noise`, and offsets as `bias` (auto, on, off) allows."""
     m = len(known)
     found, seen = Encoding(known, np.zeros(m), np.zeros(m)), np.isfinite(poses.y)
-    whole = np.flatnonzero(seen[:, :m].all(axis=1) & seen[:, m:].any(axis=1))
-    if not len(whole) or not (noise or bias != "off"):
+    some = np.flatnonzero(seen[:, :m].any(axis=1) & seen[:, m:].any(axis=1))
+    if not len(some) or not (noise or bias != "off"):
         return found
     x: Array | None = None
     begin = [np.log(known), np.full(m, 2.0 * np.log(FAR))]
     for turn in range(3):
         # at first, angles are where the images want them
         trusted = poses.encoded(np.maximum(found.variance, FAR**2) if turn == 0 else found.variance, found.offset)
-        errors, x = _errors(poses, trusted, whole, x)
+        errors, x = _errors(poses, trusted, some, x)
         found = _chosen(errors, known, names, noise, bias, begin)
         begin = [np.log(found.variance)]
     return found
 
 
-def _errors(poses: Poses, trusted: Poses, whole: Array, x: Array | None) -> tuple[Errors, Array]:
-    """What the positions show of the encoder errors at the poses `whole` (P'), and all angles x (P,M) rad."""
+def _errors(poses: Poses, trusted: Poses, some: Array, x: Array | None) -> tuple[Errors, Array]:
+    """What the positions show of the encoder errors at some of the poses, and all angles x (P,M) rad."""
     at, m = solved(trusted, x), len(poses.centre)
-    jac, weight = at.jac[whole, m:], (at.weight / at.var)[whole, m:, None]
+    jac, weight = at.jac[some, m:], (at.weight / at.var)[some, m:, None]
     information = (jac * weight).swapaxes(1, 2) @ jac
-    apart = poses.y[whole, :m] - at.x[whole]
-    pull = (information @ apart[..., None])[..., 0] - (jac * weight * at.r[whole, m:, None]).sum(axis=1)
-    return Errors(information, pull), at.x
+    z = poses.y[some, :m]
+    apart = np.where(np.isfinite(z), z, poses.centre) - at.x[some]
+    pull = (information @ apart[..., None])[..., 0] - (jac * weight * at.r[some, m:, None]).sum(axis=1)
+    return Errors(information, pull, np.isfinite(z), poses.span), at.x
 
 
 def _chosen(
@@ -116,18 +122,20 @@ def evidence(log_var: Array, errors: Errors, free: Array) -> tuple[float, Array,
 
     Then the offsets (M,) rad and their covariance (M,M), 0 except for `free` ones, over which it is integrated.
     """
-    variance, eye = np.exp(log_var), np.eye(len(log_var))
-    cov = np.linalg.inv(errors.information + np.diag(1.0 / variance))
-    mean, share = (cov @ errors.pull[..., None])[..., 0], cov / variance  # of errors, for offsets of 0; their slope
+    read = errors.read
+    variance, eye = np.where(read, np.exp(log_var), errors.span**2), np.eye(len(log_var))
+    cov = np.linalg.inv(errors.information + eye / variance[:, None])
+    mean = (cov @ errors.pull[..., None])[..., 0]  # of errors, for offsets of 0
+    share = cov * (read / variance)[:, None]  # its derivative in them
     prior = np.diag(FAR**2 * free)
-    ratio = eye + prior @ (errors.information @ share).sum(axis=0)
-    spread, score = np.linalg.solve(ratio, prior), mean.sum(axis=0) / variance
+    ratio = eye + prior @ (read[..., None] * (errors.information @ share)).sum(axis=0)
+    spread, score = np.linalg.solve(ratio, prior), (read * mean / variance).sum(axis=0)
     offset = spread @ score
-    logs = np.linalg.slogdet(cov)[1].sum() - len(mean) * log_var.sum() - np.linalg.slogdet(ratio)[1]
+    logs = np.linalg.slogdet(cov)[1].sum() - (read * log_var).sum() - np.linalg.slogdet(ratio)[1]
     value = 0.5 * float((errors.pull * mean).sum() + offset @ score + logs)
-    about, slopes = mean + (share - eye) @ offset, share - eye
-    square = np.square(about) + np.einsum("pii->pi", cov) + ((slopes @ spread) * slopes).sum(axis=2)
-    return value, 0.5 * (square / variance - 1.0).sum(axis=0), offset, spread
+    slopes = share - eye
+    square = np.square(mean + slopes @ offset) + np.einsum("pii->pi", cov) + ((slopes @ spread) * slopes).sum(axis=2)
+    return value, 0.5 * (read * (square / variance - 1.0)).sum(axis=0), offset, spread
 
 
 def faults(names: tuple[str, ...], found: Encoding, since: float) -> tuple[Fault, ...]:
