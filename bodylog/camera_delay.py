@@ -190,11 +190,12 @@ def _prior(model: ForwardModel) -> "Prior":
 
 def _surest(residuals: Sequence[Mapping[str, "Delay"]], fixed: Delays, started: set[str]) -> dict[str, int]:
     """The log with the smallest error of each camera with a delay, significant unless the camera is `started`."""
+    from .estimation.faults.threshold import LATE
     from .estimation.timing import correction
 
     found = {}
     for name in sorted({name for residual in residuals for name in residual} - set(fixed)):
-        least = 0.0 if name in started else correction.LEAST
+        least = 0.0 if name in started else LATE
         known = [k for k, residual in enumerate(residuals) if name in residual]
         if late := [k for k in known if correction.significant(residuals[k][name], least)]:
             found[name] = min(late, key=lambda k: residuals[k][name].std_error)

@@ -38,7 +38,7 @@ class Estimator(estimator.Estimator):
         latest instant. UsageError or ModelError for readings that do not fit the body, LogError until every joint has
         been read once.
         """
-        t, by_delay, own = finite(t), dict[float, dict[str, Place | None]](), self._delays.get(correction.JOINTS, 0.0)
+        t, by_delay, own = finite(t), dict[float, dict[str, Place | None]](), self._delays.get("joints", 0.0)
         if joints is not None or not places:
             by_delay[own] = {}
         for name, place in places.items():

@@ -18,9 +18,6 @@ from .repeats import dropped_to_zero, frozen, repeat_nats, silence_nats, silent_
 from .stalled import Stall, stalled
 from .threshold import NATS
 
-KINDS = {"frozen": "encoder frozen", "dead": "encoder dead", "jumping": "encoder jumped"}
-"""Kinds of fault and the names of their hypotheses."""
-
 
 class Screened(NamedTuple):
     """One encoder: readings (N,) rad without faulty stretches and jumps, its faults (kind, since s, size rad), the nats
@@ -46,7 +43,10 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
     for name, one in zip(body.joints, each, strict=True):
         faults += [Fault("encoders", name, *fault, "rad") for fault in one.faults]
         kinds = {kind for kind, *_ in one.faults}
-        hypotheses += [Hypothesis(KINDS[kind], name, nats, NATS, kind in kinds) for kind, nats in one.nats.items()]
+        hypotheses += [
+            Hypothesis(f"encoder {'jumped' if kind == 'jumping' else kind}", name, nats, NATS, kind in kinds)
+            for kind, nats in one.nats.items()
+        ]
         if one.wraps is not None:
             text = f"encoders: {name} wraps by a whole turn at {one.wraps:.3f} s; its angle is unwrapped"
             findings.append(Finding("info", text))

@@ -16,8 +16,6 @@ from .threshold import LEAST, NATS, SIGMAS
 
 WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
 """rad²/s: random-walk variances tried; the last one is a constant offset, as of a joint homed differently."""
-EITHER = " or "
-"""Separator between names of joints when the faulty one cannot be identified."""
 OFFSET, STEP = "encoder offset", "encoder step"
 """Names of hypotheses."""
 
@@ -78,9 +76,14 @@ def _with_way(way: Way, joint: int, near: list[int]) -> Problem:
     evidence, others = way.problem.evidence, tuple(j for j in near if j != joint)
     if way.fault is not None:
         size = np.nan if others else way.fault.size
-        fault = replace(way.fault, name=EITHER.join(evidence.joints[j] for j in (joint, *others)), size=size)
+        fault = replace(way.fault, name=_either(evidence.joints, joint, others), size=size)
         evidence = replace(evidence, faults=(*evidence.faults, fault))
     return replace(way.problem, evidence=evidence, alternatives={**way.problem.alternatives, joint: others})
+
+
+def _either(names: tuple[str, ...], joint: int, others: tuple[int, ...]) -> str:
+    """A faulty joint's name, with those of others that it cannot be told from."""
+    return " or ".join(names[j] for j in (joint, *others))
 
 
 def _best_way(
@@ -143,7 +146,8 @@ def faults(
     """
     t, walks = problem.timeline.t, _walks(problem)
     found, certain = [], _significant(offset, var, smallest_fault(problem.evidence.encoders))
-    faulty = {name for fault in (*known, *problem.evidence.faults) for name in fault.name.split(EITHER)}
+    stepped = [(joint, *others) for joint, others in problem.alternatives.items() if not walks[joint]]
+    faulty = {*(fault.name for fault in known), *(names[j] for joints in stepped for j in joints)}
     for joint, name in enumerate(names):
         if name in faulty:
             continue
@@ -153,8 +157,8 @@ def faults(
             alternatives = problem.alternatives.get(joint, ())
             own = offset[:, joint], var[:, joint], float(walks[joint])
             size, std = (np.nan, None) if alternatives else _largest_smoothed(t, *own)
-            either = EITHER.join([name, *(names[k] for k in alternatives)])
-            found.append(Fault("encoders", either, "drifting", float(t[lasting.argmax()]), size, "rad", std))
+            either, since = _either(names, joint, alternatives), float(t[lasting.argmax()])
+            found.append(Fault("encoders", either, "drifting", since, size, "rad", std))
     return tuple(found)
 
 

@@ -22,14 +22,10 @@ from ..measurements.track_curve import Curve, interpolated, track_curve
 from .contract import Verdict
 from .encoder_offset import WALKS
 from .inflated_variance import InflatedVariance
-from .threshold import FAR, NATS
+from .threshold import FAR, LATE, NATS
 
-SIZE = 30.0
-"""px: prior standard deviation of a camera's displacement."""
 MOST = 160
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
-LATE = 2e-3
-"""s: std of the delay left after correction."""
 MOVES = 3
 """Most displacements of one camera."""
 
@@ -148,7 +144,9 @@ def _displacements(rows: _Rows, chol: Array) -> list[Displacement]:
 def _best_displacement(rows: _Rows, chol: Array, others: list[Displacement]) -> Displacement:
     """The most likely displacement given the others, and the nats it wins."""
     left = replace(rows, r=_residuals(rows, others))
-    found = _best_step(left, chol, np.eye(2)[rows.output], SIZE)
+    # a priori as large as an encoder's offset shows
+    wide = FAR * float(np.sqrt(np.square(rows.jac).mean()))
+    found = _best_step(left, chol, np.eye(2)[rows.output], wide)
     return replace(found, nats=_cost(left.r, chol) - found.nats)
 
 
@@ -196,6 +194,7 @@ def _covariance(rows: _Rows) -> Array:
     """Covariance (R,R) px² of r with a fixed camera and sound encoders."""
     # rows of one time share the same means of encoder readings
     cov = (rows.t[:, None] == rows.t) * ((rows.jac * rows.encoder) @ rows.jac.T)
+    # smaller delays are left
     cov += LATE**2 * np.outer(rows.speed, rows.speed)
     cov += _offset_covariance(rows, rows.jac, OFFSET_STD, WALKS[-1])
     model = np.sqrt(rows.model)

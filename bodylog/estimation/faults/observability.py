@@ -11,9 +11,7 @@ from ..measurements.long_arrays import rows
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.wording import listed
 from .contract import Verdict
-
-LONG = 1.0
-"""s: shortest gap in an encoder's readings that counts as silence."""
+from .repeats import SILENT
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
@@ -48,12 +46,12 @@ def silence_findings(
 
 def _silent_from(frames: Array, known: Array) -> Iterator[str]:
     """Yield the long silences of an encoder with readings at known (N,) s during which there are frames (F,) s."""
-    for k in np.flatnonzero(np.diff(known) > LONG):
+    for k in np.flatnonzero(np.diff(known) > SILENT):
         if _between(frames, known[k], known[k + 1]):
             yield f"{known[k]:.3f} to {known[k + 1]:.3f} s"
-    if frames[-1] - known[-1] > LONG:
+    if frames[-1] - known[-1] > SILENT:
         yield f"{known[-1]:.3f} s on"
-    if known[0] - frames[0] > LONG:
+    if known[0] - frames[0] > SILENT:
         yield f"the first image to {known[0]:.3f} s"
 
 

@@ -14,7 +14,7 @@ from .jumping import jumps
 FROZEN, FEWEST = 0.5, 10
 """s and readings: shortest stretch of one repeated value that may be a freeze."""
 SILENT = 1.0
-"""s: shortest silence at the end of a log of a dead encoder."""
+"""s: shortest gap in an encoder's readings that counts as silence."""
 
 
 def frozen(t: Array, y: Array) -> list[tuple[int, int]]:

@@ -18,22 +18,22 @@ DETECTORS: Mapping[str, Detector] = {
     "moved_camera": moved_camera.detect,
 }
 """In this order: each sees what the ones before it left."""
-POSES = {name: DETECTORS[name] for name in ("out_of_range", "frozen_camera")}
-"""Detectors for still poses; those that compare consecutive readings do not apply."""
 
 
 def screened(
     features: Features, body: BodyModel, settings: Estimation, whole: bool = True, repairs: bool = True,
-    detectors: Mapping[str, Detector] = DETECTORS,
+    moving: bool = True,
 ) -> Evidence:  # fmt: skip
     """Gather the measurements that the settings ask for and run all detectors; EvidenceError if a named sense is empty.
 
     `whole`: all frames of one touch count as one sighting. Without `repairs`, encoder faults are named, but the
-    readings stay as they were.
+    readings stay as they were. Without `moving`, for still poses, no detector compares consecutive readings.
     """
     gathered = gather(features, body, settings, whole)
     found = gathered
-    for name, detect in detectors.items():
+    for name, detect in DETECTORS.items():
+        if not moving and name in ("encoders", "moved_camera"):
+            continue
         verdict = detect(found, body)
         found = replace(
             verdict.evidence,

@@ -6,5 +6,7 @@ sound drawn logs a camera's delay won at most 10.5 nats, on 100 a moved camera a
 found in 9 instead of 16 of 20 reaches, and a camera moved by 2 px in 0 instead of 8."""
 SIGMAS, LEAST = 4.0, 0.01
 """Standard deviations from zero of what is certainly not zero, and rad: an encoder's smaller offset is no fault."""
+LATE = 1e-3
+"""s: a camera's smaller delay is ignored; most cameras expose for longer."""
 FAR = 0.3
 """rad: prior standard deviation of a faulty encoder's offset."""

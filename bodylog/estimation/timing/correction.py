@@ -11,15 +11,11 @@ from ...errors import ModelError, UsageError
 from ...settings import Estimation
 from ...types import Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import repaired
-from ..faults.threshold import NATS, SIGMAS
+from ..faults.threshold import LATE, NATS, SIGMAS
 from ..measurements.gather import camera, gather
 from ..measurements.long_arrays import rows
 from ..measurements.records import Encoders, Sighting
 from .regression import FARTHEST, Delay, measured
-
-LEAST = 1e-3
-"""s: a smaller delay is ignored; most cameras expose for longer."""
-JOINTS = "joints"
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +37,7 @@ def corrected(features: Features, body: BodyModel, given: str | Mapping[str, flo
     """
     names, learned = cameras([*features.tracks, *body.senses]), learned_delays(body)
     fixed = fixed_delays(given, names)
-    delays, errors = {name: fixed.get(name, learned.get(name, 0.0)) for name in (JOINTS, *names)}, dict[str, float]()
+    delays, errors = {name: fixed.get(name, learned.get(name, 0.0)) for name in ("joints", *names)}, dict[str, float]()
     residuals = measured_delays(shifted(features, delays), body)
     for name, residual in residuals.items():
         if significant(residual) and name not in fixed:
@@ -61,11 +57,11 @@ def corrected(features: Features, body: BodyModel, given: str | Mapping[str, flo
 
 def fixed_delays(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
     """Delays (s) of joints and cameras that are given, not measured; UsageError for an unknown name."""
-    known = (JOINTS, *names)
+    known = ("joints", *names)
     if isinstance(given, str):
         return {} if given == "auto" else dict.fromkeys(known, 0.0)
     # delays of single topics are applied in recording/
-    given = {name: late for name, late in given.items() if not name.startswith(f"{JOINTS}/")}
+    given = {name: late for name, late in given.items() if not name.startswith("joints/")}
     if unknown := [name for name in given if name not in known]:
         raise UsageError(f"delay: {unknown[0]!r} found, possible: {', '.join(known)}; type --delay {known[-1]}=0.05")
     return dict(given)
@@ -76,7 +72,7 @@ def cameras(tracks: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(camera(name) for name in tracks if name != "encoders"))
 
 
-def significant(delay: Delay, least: float = LEAST) -> bool:
+def significant(delay: Delay, least: float = LATE) -> bool:
     """Whether a delay wins more than NATS and exceeds `least` s."""
     return delay.nats > NATS and abs(delay.seconds) > least
 
@@ -84,7 +80,7 @@ def significant(delay: Delay, least: float = LEAST) -> bool:
 def shifted(features: Features, delays: Mapping[str, float]) -> Features:
     """Subtract delays (s) from the times of each camera's tracks and of the joints."""
     tracks = {name: _shifted(track, delays.get(camera(name), 0.0)) for name, track in features.tracks.items()}
-    joints = None if features.joints is None else _shifted(features.joints, delays.get(JOINTS, 0.0))
+    joints = None if features.joints is None else _shifted(features.joints, delays.get("joints", 0.0))
     return replace(features, tracks=tracks, joints=joints)
 
 
@@ -148,7 +144,7 @@ def delay_findings(
     delays: Mapping[str, float], errors: Mapping[str, float], residuals: Mapping[str, Delay], fixed: Mapping[str, float]
 ) -> Iterator[Finding]:
     """Yield a warning for each measured delay, and for each `fixed` one that the log contradicts (`residuals`)."""
-    for name in (name for name in {**delays, **residuals} if name != JOINTS):
+    for name in (name for name in {**delays, **residuals} if name != "joints"):
         delay, residual = delays.get(name, 0.0), residuals.get(name)
         if name in fixed and residual is not None and significant(residual):
             late, given = delay + residual.seconds, f"--delay {name}={delay:g}" if delay else "not corrected"

@@ -12,13 +12,11 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Encoders, Sighting
-from ..measurements.track_curve import FEWEST, Curve, interpolated, track_curve
+from ..measurements.track_curve import BLUNDER, FEWEST, Curve, interpolated, track_curve
 from .regression import FARTHEST, ROUNDS, STEP, STILL, Delay
 
 MOST = 400
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
-BLUNDER = 6.0
-"""Median residuals of the learned mean beyond which a position is left out."""
 
 Prior = Callable[[Array], tuple[Array, Array]]
 """The prior of a track at angles (B,M) rad: mean (D,) px and covariance (D,B,B) px²."""
@@ -50,6 +48,7 @@ def _sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, fl
     off = np.linalg.norm(place - curve.predicted, axis=1)
     if sound.sum() < FEWEST:
         return 0.0, 0.0
+    # positions far from the learned mean are blunders, too
     rows = np.flatnonzero(sound & (off <= BLUNDER * np.median(off[sound])))
     noise = curve.noise + np.einsum("bdm,bm->bd", np.square(curve.jac[rows]), curve.encoder[rows])
     placed, moved = (_shares(part[rows], first[rows], len(curve.t)) for part in (value, slope))
