@@ -37,12 +37,6 @@ class Fold:
         """Write rows (F,…) into the folded a (L,…,C) at the given events."""
         a[events % self.length, ..., events // self.length] = rows
 
-    def sees(self, events: Array) -> Array:
-        """Which stretches (C,) have one of the events among their instants."""
-        seen = np.zeros(self.count, bool)
-        seen[events // self.length] = True
-        return seen
-
     def lasts(self) -> Array:
         """Last event (C−1,) before each stretch but the first starts."""
         return np.arange(1, self.count) * self.length - 1

@@ -1,5 +1,6 @@
 """Linearisation points of frames; only frames whose point moved are predicted again."""
 
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from .problem import Problem
 
 
-
 class Tangents:
     """Linearisation points (F,M) rad of each sighting's frames, and the tangents there."""
 
@@ -24,7 +24,8 @@ class Tangents:
         self._sightings, self.points, self.resting, self.share = sightings, points, 0.0, PAST
         self._stale: tuple[Array, ...] = tuple(np.ones(len(x), bool) for x in points)
         seen = [np.all(np.isfinite(sighting.values), axis=1) for sighting in sightings]
-        self._seen = tuple(_rows(some) for some in seen)
+        # without a copy if that is all
+        self._seen = tuple(slice(None) if some.all() else np.flatnonzero(some) for some in seen)
         self._weighed: NoiseModel | None = None
         self._y: tuple[Array, ...] = tuple(np.full(one.values.shape, np.nan) for one in sightings)
         self._jac = tuple(np.zeros((*y.shape, x.shape[1])) for x, y in zip(points, self._y, strict=True))
@@ -49,14 +50,14 @@ class Tangents:
                 self._predict(index, sighting, stale)
                 _put(fold, readings.y, index, events, self._y[index], stale)
                 _put(fold, readings.jac, index, events, self._jac[index], stale)
-                touched |= fold.sees(events[stale])
+                touched[events[stale] // fold.length] = True
             elif self._weighed is problem.precision:
                 continue
             var = self._variances(index, sighting, problem.precision, self.share)
             other = np.logical_or.reduce((np.abs(var / self._var[index] - 1.0) > 1e-9).T)  # rounding
             self._var[index][other] = var[other]
             _put(fold, readings.var, index, events, var, other)
-            touched |= fold.sees(events[other])
+            touched[events[other] // fold.length] = True
         self._weighed = problem.precision
         return touched
 
@@ -99,30 +100,23 @@ class Tangents:
 
     def again(self) -> "Tangents":
         """An independent copy."""
-        other = Tangents(self._sightings, self.points)
-        other._stale, other.share = self._stale, self.share
-        for name in ("_y", "_jac", "_model_var", "_var"):
-            for mine, copied in zip(getattr(self, name), getattr(other, name), strict=True):
-                copied[:] = mine
+        other = copy(self)
+        other._weighed = None
+        other._y, other._jac, other._model_var, other._var = (
+            tuple(part.copy() for part in parts) for parts in (self._y, self._jac, self._model_var, self._var)
+        )
         return other
 
     def follow(self, problem: "Problem", fold: Fold, means: Array) -> None:
         """Move to the angles of folded states (L,K,C) that are farther away than `resting`."""
         wanted = [fold.pick(means[:, : len(problem.start)], events) for events in problem.timeline.sightings]
-        pairs = list(zip(wanted, self.points, strict=True))
         # a row of frames for each joint: numpy is slow along short axes
-        moves = [np.abs(np.ascontiguousarray((new - old).T)).max(axis=0) for new, old in pairs]
-        self._stale = tuple(move > self.resting for move in moves)
-        self.points = tuple(
-            np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
-        )
+        moves = [np.ascontiguousarray((new - old).T) for new, old in zip(wanted, self.points, strict=True)]
+        self._stale = tuple(np.abs(move).max(axis=0) > self.resting for move in moves)
+        choices = zip(self._stale, wanted, self.points, strict=True)
+        self.points = tuple(np.where(stale[:, None], new, old) for stale, new, old in choices)
 
 
 def _put(fold: Fold, a: Array, index: int, events: Array, rows: Array, some: Array | slice = slice(None)) -> None:
     """Write some of a sighting's frames (F,D,…) into its part of the folded a (L,T,…,C)."""
     fold.put(a[:, index, : rows.shape[1]], events[some], rows[some])
-
-
-def _rows(some: Array) -> Array | slice:
-    """Index of the rows some (F,) bool, without a copy if that is all."""
-    return slice(None) if some.all() else np.flatnonzero(some)

@@ -164,9 +164,9 @@ def _sights(problem: Problem, share: float, before: int) -> dict[int, dict[int, 
     for track, (sighting, events) in enumerate(zip(problem.evidence.sightings, line.sightings, strict=True)):
         scale, near = precision.scale.get(sighting.name, 1.0), precision.near.get(sighting.name, 0.0)
         like = ErrorCorrelation(precision.process, reach(sighting.model), near, share, order=precision.order)
+        values, var, mix = sighting.independent
         for row in np.flatnonzero(np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)):
-            (values, var, mix), t = sighting.independent, float(sighting.t[row])
-            own = None if mix is None else mix[row]
+            t, own = float(sighting.t[row]), None if mix is None else mix[row]
             frame = PendingFrame(sighting.model, t, values[row], scale * var[row], like, LastFrame(), own)
             found.setdefault(int(events[row]), {})[track] = frame
     return found

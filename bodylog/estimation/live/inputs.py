@@ -77,18 +77,14 @@ class Inputs:
 
     def accept(self, t: float, given: Observation, late: bool) -> Observation:
         """Keep the readings of time t (s) that may be used; count the others by reason."""
-        places = {
-            name: (value, var)
-            for name, (value, var) in given.places.items()
-            if self._accepted(name, t, late, bool(np.isfinite(value).all()))
-        }
+        places = {name: one for name, one in given.places.items() if self._accepted(name, t, one[0], late)}
         return Observation(None if given.angles is None else self._accepted_angles(t, given.angles, late), places)
 
-    def _accepted(self, name: str, t: float, late: bool, seen: bool) -> bool:
+    def _accepted(self, name: str, t: float, place: Array, late: bool) -> bool:
         after = t > self._newest.get(name, -np.inf)
-        rejected = {"too late": late, "time runs backwards": not after, "out of view": not seen}
         if after and not late:
             self._newest[name] = t
+        rejected = {"too late": late, "time runs backwards": not after, "out of view": not np.isfinite(place).all()}
         return self._count(name, {**rejected, "not asked for": name not in self.wanted})
 
     def _accepted_angles(self, t: float, x: Array, late: bool) -> Array:
