@@ -1,28 +1,28 @@
 """Encoder noise and process noise of each joint, for white acceleration or jerk, by the evidence of its readings."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ...types import Array
 from ..inference.filter_records import GATE
 from ..measurements.long_arrays import median, median_step
 from ..measurements.records import Encoders
-from .encoder_evidence import WARM, evidence
+from .encoder_evidence import evidence
 from .quantisation import dithered, shared_variance
 
-TRIED = 45
-"""Ratios tried, over all magnitudes; a parabola through the best of them is exact enough for the evidence."""
-RANGE = {2: (1e-9, 1e6), 3: (1e-11, 1e6)}
-"""Ratios of process to noise, per reading, by the motion's order."""
-RAISED = 2.0
-"""Factor on a density per step, until the filter keeps up."""
 SPACING = 0.01
 """s: closer readings are averaged, because a short stretch shows no acceleration."""
 MOST = 6000
 """Most averages used, from the middle of the log: more would not sharpen two numbers per joint."""
-STRETCH = 256
-"""Averages per stretch, all stretches being filtered in parallel."""
+STRETCH = 128
+"""Averages per stretch, all stretches being filtered in parallel, each warmed up by the one before; and the longest
+memory tried. A vague start would count against white jerk, which takes longer to settle. On 30 drawn logs of fast, slow
+and quiet motion orders and errors are those of one whole stretch; warmed up by half as many they are not yet."""
+TRIED = 45
+"""Memories tried, four per octave; a parabola through the best of them is exact enough for the evidence."""
 FEWEST = 30
 """Readings of a joint that are too few to learn its noise."""
 BREAK = 10.0
@@ -101,34 +101,33 @@ def likeliest(
     means = [_averaged(t, y, k) for (t, y), k in zip(series, fellows, strict=True)]
     folded = _side_by_side(means)
     step = np.array([median_step(t) for t, *_ in means])
-    # process / noise variance, scaled so that 1 is balanced per reading
-    ratios = np.geomspace(*RANGE[order], TRIED)[:, None] / step ** (2 * order - 1)
+    # a ratio of 1 per average has a memory of one average
+    per_average = float(STRETCH) ** (-2 * order) * 2.0 ** (0.5 * order * np.arange(TRIED))
+    ratios = per_average[:, None] / step ** (2 * order - 1)
     score, noise, lag = evidence(*folded, ratios, order, None if known is None else known / fellows)
-    nats = np.asarray(score.max(axis=0))
-    ratio, variance = _peak(ratios, score, noise)
+    ratio, variance, nats = _peak(ratios, score, noise)
     if (lag[score.argmax(axis=0), np.arange(len(series))] > GATE).any():
         ratio = _followed_by(folded, ratio, variance, order)
     return variance * fellows, variance * ratio, nats
 
 
 def _followed_by(folded: tuple[Array, Array, Array], ratio: Array, variance: Array, order: int) -> Array:
-    """Ratios (M,), at least those given, with which a filter of noise variance (M,) keeps up with all motion."""
-    raised = ratio * RAISED ** np.arange(24)[:, None]
+    """Ratios (M,), doubled until a filter of noise variance (M,) keeps up with all motion."""
+    raised = ratio * 2.0 ** np.arange(24)[:, None]
     _, noise, lag = evidence(*folded, raised, order)
     off = lag * np.sqrt(noise / variance)
     keeps: Array = np.asarray(off <= GATE)
     return np.asarray(raised[np.where(keeps.any(axis=0), keeps.argmax(axis=0), len(raised) - 1), np.arange(len(ratio))])
 
 
-def _peak(ratios: Array, score: Array, noise: Array) -> tuple[Array, Array]:
-    """Ratios and noise (M,) at the greatest score (R,M), by a parabola through the best three."""
-    at = np.clip(score.argmax(axis=0), 1, len(ratios) - 2), np.arange(ratios.shape[1])
-    (r0, r1, r2), (s0, s1, s2), (n0, n1, n2) = (
-        [a[at[0] + side, at[1]] for side in (-1, 0, 1)] for a in (np.log(ratios), score, np.log(noise))
-    )
-    bend = np.minimum(s0 - 2.0 * s1 + s2, -np.finfo(float).tiny)
-    shift = np.clip(0.5 * (s0 - s2) / bend, -1.0, 1.0)
-    return np.exp(r1 + 0.5 * shift * (r2 - r0)), np.exp(n1 + 0.5 * shift * (n2 - n0))
+def _peak(ratios: Array, score: Array, noise: Array) -> tuple[Array, Array, Array]:
+    """Ratios, noise and score (M,) at the greatest score (R,M), by parabolas through the best three."""
+    at, each = np.clip(score.argmax(axis=0), 1, len(ratios) - 2), np.arange(ratios.shape[1])
+    before, best, after = (np.stack([np.log(ratios), score, np.log(noise)])[:, at + side, each] for side in (-1, 0, 1))
+    slope, bend = 0.5 * (after - before), before - 2.0 * best + after
+    shift = np.clip(-slope[1] / np.minimum(bend[1], -np.finfo(float).tiny), -1.0, 1.0)
+    ratio, peak, variance = best + shift * slope + 0.5 * shift**2 * bend
+    return np.exp(ratio), np.exp(variance), peak
 
 
 def _fellows(t: Array) -> int:
@@ -150,24 +149,18 @@ def _averaged(t: Array, y: Array, fellows: int) -> tuple[Array, Array, Array]:
 
 
 def _side_by_side(series: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
-    """Time steps, readings (NaN after the last) and restarts, folded: (L,M,C) each.
-
-    Each stretch starts with the last WARM averages of the one before.
-    """
+    """Time steps, readings (NaN after the last) and restarts, folded: (L,M,C) each; stretches follow the one before."""
     most = max(len(t) for t, *_ in series)
-    dt, y, fresh = (
-        np.zeros((most, len(series))),
-        np.full((most, len(series)), np.nan),
-        np.zeros((most, len(series)), bool),
-    )
-    for joint, (t, column, breaks) in enumerate(series):
-        rows = slice(len(t)), joint
-        dt[rows], y[rows], fresh[rows] = np.diff(t, prepend=t[0]), column, breaks
-    stretches = max(1, -(-(most - WARM) // STRETCH))
-    at = np.arange(WARM + STRETCH)[:, None] + STRETCH * np.arange(stretches)
-    after = (at >= most)[:, None]
-    dt, y, fresh = (part[np.minimum(at, most - 1)].swapaxes(1, 2) for part in (dt, y, fresh))
-    return np.where(after, 0.0, dt), np.where(after, np.nan, y), fresh & ~after
+    length = STRETCH * max(2, -(-most // STRETCH))
+
+    def folded(columns: Sequence[Array], after: float) -> Array:
+        padded = [np.pad(column, (0, length - len(column)), constant_values=after) for column in columns]
+        pairs = sliding_window_view(np.stack(padded, axis=1), 2 * STRETCH, axis=0)[::STRETCH]
+        return np.ascontiguousarray(pairs.transpose(2, 1, 0))
+
+    times, readings, breaks = zip(*series, strict=True)
+    steps = [np.diff(t, prepend=t[0]) for t in times]
+    return folded(steps, 0.0), folded(readings, np.nan), folded(breaks, False)
 
 
 def _breaks(t: Array, y: Array) -> Array:

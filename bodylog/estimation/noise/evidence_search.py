@@ -1,33 +1,32 @@
 """Evidence of the whole filter, images included, for many noise models at once."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ...types import Array
 from ..inference.gauss_newton import solve_knots
-from ..inference.initial_path import handed_over, priors
-from ..inference.knot_problem import KnotProblem, tile
+from ..inference.knot_problem import KnotProblem
 from ..inference.problem import Problem
 from ..inference.scan import scan
 from ..inference.solution import Solution
-from ..measurements.records import Encoders, Evidence, Sighting
+from ..measurements.long_arrays import seen
+from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import timeline
-from .encoder_noise import floor, followable
+from .encoder_noise import FEWEST, floor, followable
 from .noise_model import NoiseModel
-from .smoother_process import least
+from .smoother_process import least, side_by_side
 from .steady import steady_variance
 from .visibility import View, views, visual
 
 MOST = 1000
 """Most images of a track used, from the middle of the log."""
-FEWEST = 10
-"""Fewest sightings from which pixel noise is learned."""
 ROUGHLY = 1e-2
 """Standard deviations: tolerance on starts for comparing a solution's evidence."""
 NEARLY = 0.25
 """Standard deviations: tolerance on starts for comparing candidates that start there."""
-ROUNDS = (1.2, 0.7, 0.35)
+ROUNDS = (1.0, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
 
@@ -37,7 +36,7 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     Also the last solution as a warm start, if it covers the whole log.
     """
     part = middle(determined(replace(problem, precision=replace(problem.precision, fewer={}))))
-    names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
+    names = [s.name for s in part.evidence.sightings if s.name != "touch" and seen(s.values).sum() > FEWEST]
     if not names and not whole:
         return problem.precision, None
     solved = solve_knots(part, None, "posterior", NEARLY)
@@ -48,10 +47,10 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
     warm = replace(solved[1], knots=solved) if part.timeline is problem.timeline else None
     if whole:
-        likeliest = _moving(problem, part, solved, False).process
-        return replace(_moving(problem, part, solved, True), fewer={}, likeliest=likeliest), warm
-    fewer = {view: _moving(problem, *_with_view(part, view), False).process for view in _less(problem)}
-    return replace(_moving(problem, part, solved, False), fewer=fewer), warm
+        likeliest = _of_filter(problem, part, solved[1]).process
+        return replace(_of_smoother(part, solved), likeliest=likeliest), warm
+    fewer = {view: _of_filter(problem, *_with_view(part, view)).process for view in _less(problem)}
+    return replace(_of_filter(problem, part, solved[1]), fewer=fewer), warm
 
 
 def _less(problem: Problem) -> list[View]:
@@ -62,31 +61,32 @@ def _less(problem: Problem) -> list[View]:
     return [v for v in views(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
 
 
-def _moving(problem: Problem, part: Problem, solved: tuple[KnotProblem, Solution], whole: bool) -> NoiseModel:
-    """The part's noise model for a smoother (`whole`) or a filter, with the share of its covariance to state."""
-    encoders, floor = problem.evidence.encoders, _floor(part)
-    if whole:
-        held = replace(part.precision, process=np.maximum(part.precision.process, floor))
-        process, stated = least(replace(part, precision=held), solved)
-        return replace(part.precision, process=_led(part, np.maximum(process, floor)), stated=stated)
-    evident, white = _own(problem, part, solved[1])
-    if encoders is None:
-        return replace(part.precision, process=evident)
-    return part.precision.held(evident, encoders, white)
-
-
-def _led(part: Problem, process: Array) -> Array:
-    """Process variances (M,) of a smoother whose forward pass stays within the gate."""
-    encoders, precision = part.evidence.encoders, part.precision
-    return process if encoders is None else followable(encoders, precision.encoder, process, precision.order)
-
-
-def _with_view(part: Problem, view: View) -> tuple[Problem, tuple[KnotProblem, Solution]]:
+def _with_view(part: Problem, view: View) -> tuple[Problem, Solution]:
     """The part with only these of its tracks, and its solution."""
-    sightings = tuple(s for s in part.evidence.sightings if s.name in view)
-    evidence = replace(part.evidence, sightings=sightings)
-    less = replace(part, evidence=evidence, timeline=timeline(evidence, None))
-    return less, solve_knots(less, None, "posterior", NEARLY)
+    less = _measured(part, part.evidence.encoders, [s for s in part.evidence.sightings if s.name in view])
+    return less, solve_knots(less, None, "posterior", NEARLY)[1]
+
+
+def _of_smoother(part: Problem, solved: tuple[KnotProblem, Solution]) -> NoiseModel:
+    """A smoother's noise model, whose forward pass stays within the gate, with the share of its covariance to state."""
+    encoders, precision = part.evidence.encoders, part.precision
+    if encoders is None:
+        process, stated = least(part, solved)
+        return replace(precision, process=process, stated=stated)
+    low = floor(encoders.t, precision.encoder, precision.order)
+    held = replace(precision, process=np.maximum(precision.process, low))
+    process, stated = least(replace(part, precision=held), solved)
+    process = followable(encoders, precision.encoder, np.maximum(process, low), precision.order)
+    return replace(precision, process=process, stated=stated)
+
+
+def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
+    """A filter's noise model, with the share of its covariance to state."""
+    evident, white = _own(problem, part, solved)
+    encoders = problem.evidence.encoders
+    return (
+        replace(part.precision, process=evident) if encoders is None else part.precision.held(evident, encoders, white)
+    )
 
 
 def _own(problem: Problem, part: Problem, first: Solution) -> tuple[Array, Array]:
@@ -112,22 +112,12 @@ def _own(problem: Problem, part: Problem, first: Solution) -> tuple[Array, Array
     return np.asarray(share * alone + (1.0 - share) * part.precision.process), white
 
 
-def _seen(sighting: Sighting) -> int:
-    return int(np.isfinite(sighting.values).all(axis=1).sum())
-
-
 def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
     m, precision = len(part.start), part.precision
     # correlated frames predict each other well, which is no evidence of lower pixel noise
     found = {name: max(float(v), 1.0) for name, v in zip(names, values[m:], strict=True)}
     scale = {**precision.scale, **found}
     return replace(precision, process=values[:m], scale=scale)
-
-
-def _floor(part: Problem) -> Array:
-    """Least process variances (M,)."""
-    encoders, precision = part.evidence.encoders, part.precision
-    return np.zeros(len(part.start)) if encoders is None else floor(encoders.t, precision.encoder, precision.order)
 
 
 def _step(nats: Array, half: float) -> Array:
@@ -151,7 +141,6 @@ def costs(
     (knots, first), g, m = solved, len(candidates), len(part.start)
     few, readings, fold = replace(part, timeline=knots.problem.timeline), knots.readings, knots.fold
     first.tangents.draw(few, fold, readings)
-    z, p = handed_over(*priors(few, fold), first.trace.z[-1], first.trace.p[-1])
     var = np.repeat(readings.var[..., None], g, axis=-1)
     for index, (sighting, events) in enumerate(zip(part.evidence.sightings, few.timeline.sightings, strict=True)):
         if sighting.name in names:
@@ -160,9 +149,7 @@ def costs(
             more = candidates[:, m + names.index(sighting.name)] - part.precision.scale[sighting.name]
             # a lasting error counts less than its variance in a filter's extrapolation
             var[:, index] += np.minimum(pixels, readings.var[:, index])[..., None] * more
-    tiled = tile(knots, var, candidates[:, :m].T)
-    dynamics = replace(few.dynamics, process=np.tile(candidates[:, :m].T, fold.count))
-    trace = scan(tiled, dynamics, np.repeat(z, g, axis=-1), np.repeat(p, g, axis=-1), every=g)
+    trace = scan(*side_by_side(few, solved, candidates[:, :m].T, var), every=g)
     own = replace(trace, nats=trace.nats[:, ::g])
     return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), (knots, replace(first, trace=own))
 
@@ -175,17 +162,13 @@ def middle(problem: Problem) -> Problem:
         return problem
     begin = (len(t) - MOST) // 2
     low, high = t[begin], t[begin + MOST - 1]
-    sightings = tuple(_cut_sighting(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings)
+    sightings = [_cut_sighting(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings]
     if found is None:
-        cut = Evidence(None, sightings, evidence.used, ())
-        return replace(problem, evidence=cut, timeline=timeline(cut, None))
-    rows = (found.t >= low) & (found.t <= high)
+        return _measured(problem, None, sightings)
+    rows, start = (found.t >= low) & (found.t <= high), found.at(t[begin : begin + 1])[0]
     relative = None if found.relative is None else found.relative[rows]
     encoders = Encoders(found.t[rows], found.values[rows], found.source_ns[rows], relative)
-    known = [column[np.isfinite(column)] for column in encoders.values.T]
-    start = np.array([c[0] if len(c) else s for c, s in zip(known, problem.start, strict=True)])
-    cut = Evidence(encoders, sightings, evidence.used, ())
-    return replace(problem, evidence=cut, timeline=timeline(cut, None), start=start)
+    return replace(_measured(problem, encoders, sightings), start=np.where(np.isfinite(start), start, problem.start))
 
 
 def determined(problem: Problem) -> Problem:
@@ -193,15 +176,18 @@ def determined(problem: Problem) -> Problem:
     held = problem.held
     if held is None:
         return problem
-    line, evidence = problem.timeline, problem.evidence
-    sure = np.asarray(~held.any(axis=1))
-    pairs = zip(evidence.sightings, line.sightings, strict=True)
-    evidence = replace(evidence, sightings=tuple(_cut_sighting(s, sure[at]) for s, at in pairs))
-    return problem if sure.all() else replace(problem, evidence=evidence, timeline=timeline(evidence, None))
+    sure, line = np.asarray(~held.any(axis=1)), problem.timeline
+    pairs = zip(problem.evidence.sightings, line.sightings, strict=True)
+    sightings = [_cut_sighting(sighting, sure[at]) for sighting, at in pairs]
+    return problem if sure.all() else _measured(problem, problem.evidence.encoders, sightings)
+
+
+def _measured(problem: Problem, encoders: Encoders | None, sightings: Sequence[Sighting]) -> Problem:
+    """The problem with only these measurements."""
+    evidence = replace(problem.evidence, encoders=encoders, sightings=tuple(sightings))
+    return replace(problem, evidence=evidence, timeline=timeline(evidence, None))
 
 
 def _cut_sighting(sighting: Sighting, rows: Array) -> Sighting:
-    return replace(
-        sighting, t=sighting.t[rows], values=sighting.values[rows], var=sighting.var[rows],
-        source_ns=sighting.source_ns[rows], cov=None if sighting.cov is None else sighting.cov[rows],
-    )  # fmt: skip
+    parts = {name: getattr(sighting, name)[rows] for name in ("t", "values", "var", "source_ns")}
+    return replace(sighting, **parts, cov=None if sighting.cov is None else sighting.cov[rows])

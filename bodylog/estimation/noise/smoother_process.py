@@ -17,6 +17,7 @@ import numpy as np
 
 from ...types import Array
 from ..inference import adjoint
+from ..inference.filter_records import Dynamics, KnotReadings
 from ..inference.initial_path import handed_over, priors
 from ..inference.knot_problem import KnotProblem, tile
 from ..inference.problem import Problem
@@ -71,8 +72,11 @@ def least(part: Problem, solved: tuple[KnotProblem, Solution]) -> tuple[Array, f
     `solved`: the solution of the filter.
     """
     known = spectra(part.precision.order)
-    present, factors = _without_gaps(part, solved[0].problem.timeline.t), known.step ** np.arange(-3.0, 3.0)
-    moved = np.square(np.diff(_paths(part, solved, factors)[0][:, present], axis=0)).mean(axis=1)
+    factors = known.step ** np.arange(-3.0, 3.0)
+    paths, var = _paths(part, solved, factors)
+    present = _without_gaps(part, solved[0].problem.timeline.t)
+    moves = np.square(np.diff(paths, axis=0))[:, present]
+    moved = moves.mean(axis=1)
     # noise's share of it grows as q^(1/2n)
     noise = moved[-1] * (factors[:-1] / factors[-2])[:, None] ** (1.0 / known.powers[0])
     ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
@@ -80,8 +84,12 @@ def least(part: Problem, solved: tuple[KnotProblem, Solution]) -> tuple[Array, f
     over = np.log(np.maximum(ratios, np.finfo(float).tiny) / np.interp(power, known.powers, known.most))
     last = int(np.flatnonzero(over > 0.0).max(initial=-1))
     beyond = 0.5 + over[last] / (over[last] - over[last + 1]) if last >= 0 else 0.0
+    # the path's mean squared move per step at this factor, over V
+    sway = (moves / np.sqrt(var[1:] * var[:-1])[:, present]).mean(axis=(1, 2))
+    sway = np.exp(np.interp(max(last, 0) + beyond - 0.5, np.arange(len(sway)), np.log(sway)))
+    stated = known.noise + np.interp(power, known.powers, known.left) * (sway - known.sway)
     factor = factors[max(last, 0)] * known.step**beyond
-    return np.asarray(part.precision.process * factor), _stated(part, solved, float(factor), power)
+    return np.asarray(part.precision.process * factor), float(np.clip(stated, known.noise, 1.0))
 
 
 def _without_gaps(part: Problem, t: Array) -> Array:
@@ -93,16 +101,6 @@ def _without_gaps(part: Problem, t: Array) -> Array:
     steps = np.diff(known)
     quick = np.concatenate([[True], steps <= LONG * np.median(steps), [True]])
     return quick[np.searchsorted(known, t)]
-
-
-def _stated(part: Problem, solved: tuple[KnotProblem, Solution], factor: float, power: float) -> float:
-    """The error's share of V at a factor: noise, plus motion as far as the path still moves."""
-    known = spectra(part.precision.order)
-    paths, var = _paths(part, solved, factor * known.step ** np.array([-0.5, 0.5]))
-    present = _without_gaps(part, solved[0].problem.timeline.t)
-    moved = float((np.square(paths[1] - paths[0]) / np.sqrt(var[0] * var[1]))[present].mean())
-    left = np.interp(power, known.powers, known.left)
-    return float(np.clip(known.noise + left * (moved - known.sway), known.noise, 1.0))
 
 
 def _power(ratios: Array, known: Spectra) -> float:
@@ -127,9 +125,7 @@ def _paths(part: Problem, solved: tuple[KnotProblem, Solution], factors: Array) 
     share = spectra(part.precision.order).noise
     precisions = [replace(part.precision, process=process, stated=share) for process in processes.T]
     var = [first.tangents.weighed(replace(few, precision=p), fold, knots.readings, WHOLE) for p in precisions]
-    tiled = tile(knots, np.stack(var, axis=-1), processes)
-    dynamics = replace(few.dynamics, process=np.tile(processes, fold.count))
-    z, p = (np.repeat(a, g, axis=-1) for a in handed_over(*priors(few, fold), first.trace.z[-1], first.trace.p[-1]))
+    tiled, dynamics, z, p = side_by_side(few, solved, processes, np.stack(var, axis=-1))
     trace = None
     for _ in range(TURNS):
         trace = scan(tiled, dynamics, z, p, remember=True, into=trace)
@@ -143,3 +139,17 @@ def _paths(part: Problem, solved: tuple[KnotProblem, Solution], factors: Array) 
     tiles = np.stack([x, var]).reshape(2, fold.length, m, fold.count, g)
     paths, variances = (np.stack([fold.unfold(part[..., k]) for k in range(g)]) for part in tiles)
     return paths, variances
+
+
+def side_by_side(
+    few: Problem, solved: tuple[KnotProblem, Solution], processes: Array, var: Array
+) -> tuple[KnotReadings, Dynamics, Array, Array]:
+    """What `scan` takes for candidates of process variances (M,G) and variances of frames (L,T,D,C,G).
+
+    few: the problem at the knots of `solved`, where whose stretches ended they start.
+    """
+    (knots, first), g = solved, processes.shape[1]
+    dynamics = replace(few.dynamics, process=np.tile(processes, knots.fold.count))
+    starts = handed_over(*priors(few, knots.fold), first.trace.z[-1], first.trace.p[-1])
+    z, p = (np.repeat(part, g, axis=-1) for part in starts)
+    return tile(knots, var, processes), dynamics, z, p
