@@ -11,14 +11,7 @@ import pytest
 
 from bodylog.estimation.inference import tangents
 from bodylog.estimation.methods import filtering
-from bodylog.estimation.noise import (
-    correlated_noise,
-    encoder_noise,
-    evidence_search,
-    motion_order,
-    noise_model,
-    quantisation,
-)
+from bodylog.estimation.noise import correlated_noise, encoder_noise, evidence_search, noise_model, quantisation
 from bodylog.estimation.noise.noise_model import NoiseModel
 from tests.estimation.resting import Drawn, drawn
 from tests.validation import error_bars, figures, logs
@@ -127,7 +120,14 @@ def sure(part, values, names):
 
 def alone(problem, part, solved):
     """A filter's process variances of greatest evidence."""
-    return part.precision.process, np.ones(len(problem.start))
+    return part.precision.held(part.precision.process, problem.evidence.encoders)
+
+
+def always_jerk(problem):
+    """White jerk, whatever the evidence."""
+    white, jerk = problem.precision.learned
+    learned = white, replace(jerk, evidence=np.inf)
+    return evidence_search.with_preferred_order(replace(problem, precision=replace(problem.precision, learned=learned)))
 
 
 def stating_all(patch):
@@ -161,7 +161,8 @@ PARTS = {
     "white jerk where evidence prefers it": (
         ("sines", "babble, one camera"), setting(filtering, "with_preferred_order", lambda problem: problem)),
     "white acceleration where evidence prefers it": (
-        ("white acceleration", "slow sines, encoders of 0.02 rad"), setting(motion_order, "EVEN", -np.inf)),
+        ("white acceleration", "slow sines, encoders of 0.02 rad"),
+        setting(filtering, "with_preferred_order", always_jerk)),
     "a smoother's process of least error": (
         ("sines", "white acceleration", "slow sines, encoders of 0.02 rad"),
         setting(evidence_search, "least", lambda part, solved: (part.precision.process, 1.0))),
@@ -182,7 +183,7 @@ PARTS = {
     "pixel variances by evidence": (
         ("sines, a track that claims a third of its error",), setting(evidence_search, "_with", sure)),
     "a filter's own process noise": (
-        ("reaches, one camera", "reaches, two cameras"), setting(evidence_search, "_own", alone)),
+        ("reaches, one camera", "reaches, two cameras"), setting(evidence_search, "_of_filter", alone)),
     "process noise by tracks in view": (
         ("reaches, one camera", "reaches, two cameras"), setting(evidence_search, "_less", lambda problem: [])),
     "common errors of near places": (("still arms",), setting(noise_model, "NEAR", 0.0)),

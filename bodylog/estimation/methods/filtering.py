@@ -22,8 +22,7 @@ from ..inference.walk import find_initial_path, walk
 from ..measurements.gather import start
 from ..measurements.timeline import timeline
 from ..noise import encoder_noise, typed
-from ..noise.evidence_search import ROUGHLY, tune
-from ..noise.motion_order import with_preferred_order
+from ..noise.evidence_search import ROUGHLY, tune, with_preferred_order
 from ..noise.noise_model import resolve, warned, weighed
 from ..noise.posture_prior import learn_prior
 from . import results

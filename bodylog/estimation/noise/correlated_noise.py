@@ -1,11 +1,11 @@
 """Common errors of neighbouring frames, and how much less these count for it.
 
 The model's error depends on the posture, and perception's on the place within a pixel. Frames from nearly the same
-place share an error E (px²), and a belief must not be surer than that. Let joints move with white acceleration of
-density q (px²/s³) in the image. With noise of density R (px² s) a filter has the variance √2 R^¾ q^¼, a smoother
-R^¾ q^¼ / 2√2. This equals E if correlated frames within (E/4q)^⅓ s, or 4(E/q)^⅓ s, count as one; for a share s of the
-variance to equal E, the span is s^(−4/3) times as long. Under white jerk (px²/s⁵) these variances are 2 R^⅚ q^⅙ and
-R^⅚ q^⅙ / 3, so the spans are (E/64q)^⅕ and (729 E/q)^⅕, and s^(−6/5) times as long.
+place share an error E (px²), and a belief must not be surer than that. With motion of order n, its noise of density q
+(px² / s^(2n−1)) in the image, and readings with noise of density R (px² s), a filter, whose poles are those of a
+Butterworth filter, has the variance c R^(1−1/2n) q^(1/2n), c = 1 / sin(π/2n), and a smoother 1/2n of it. This equals E
+if correlated frames within a span of (E / c²ⁿ q)^(1/(2n−1)) s count as one. For a share s of the variance to equal E,
+q counts s²ⁿ times.
 """
 
 import math
@@ -21,10 +21,8 @@ from ..measurements.records import mixed
 
 NEAR = 0.5
 """px: correlation length of perception's error, which has the period of the pixels."""
-PAST, WHOLE = 4.0, 1.0 / 64.0
-"""Share of q in the span within which frames count as one, for filter and smoother, under white acceleration."""
-SHARES = {2: {PAST: PAST, WHOLE: WHOLE}, 3: {PAST: 64.0, WHOLE: 1.0 / 729.0}}
-"""The same for each order of the motion."""
+PAST, WHOLE = 0.0, 1.0
+"""Share of later frames that a belief is by: a filter's, and a smoother's."""
 LASTING = {PAST: -3.0 / 8.0, WHOLE: 1.0 / 2.0}
 """Weight of a lasting error beyond that of an independent one, on average over the time between frames.
 
@@ -32,6 +30,12 @@ Interpolated between two frames, (1 − x) e₀ + x e₁, a lasting error keeps 
 theirs. Extrapolated from two, (1 + x) e₁ − x e₀, 8/3, which gives −5/8; a filter remembers more frames. Of −5/8 to
 −1/4, −3/8 brings NEES nearest to 1 in drawn explorations; in thirty reaches with two cameras it is as near as −5/8.
 """
+
+
+def steady_variance(density: Array, process: Array, order: int) -> Array:
+    """Variance (M,) rad² of the filtered angle, for readings of density R (M,) rad² s and process q (M,)."""
+    power = 1.0 / (2 * order)
+    return np.asarray(density ** (1.0 - power) * process**power / np.sin(np.pi * power))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +55,9 @@ class ErrorCorrelation:
 
     @cached_property
     def wander(self) -> Array:
-        """Process variance (M,) times its share and a power of `stated`."""
-        return np.asarray(self.stated ** (2 * self.order) * SHARES[self.order][self.share] * self.process)
+        """Process variance (M,) times c²ⁿ and a power of `stated`."""
+        steady = steady_variance(np.ones(()), np.ones(()), self.order) / (2 * self.order) ** self.share
+        return np.asarray((self.stated * steady) ** (2 * self.order) * self.process)
 
     @property
     def power(self) -> float:

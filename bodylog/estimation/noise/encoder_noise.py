@@ -12,6 +12,7 @@ from ..measurements.long_arrays import median, median_step
 from ..measurements.records import Encoders
 from .encoder_evidence import evidence
 from .quantisation import dithered, shared_variance
+from .visibility import LONG
 
 SPACING = 0.01
 """s: closer readings are averaged, because a short stretch shows no acceleration."""
@@ -25,10 +26,6 @@ TRIED = 45
 """Memories tried, four per octave; a parabola through the best of them is exact enough for the evidence."""
 FEWEST = 30
 """Readings of a joint that are too few to learn its noise."""
-BREAK = 10.0
-"""Robust standard deviations: a larger second difference is a jump, where the filter restarts."""
-AROUND = 5
-"""Second differences on each side among which a jump must stand out."""
 MEMORY = 1.0
 """s: longest memory of a filter for a joint at rest."""
 
@@ -78,12 +75,10 @@ def followable(encoders: Encoders, encoder: Array, process: Array, order: int) -
     """
     known, process = np.isfinite(encoders.values), process.copy()
     joints = np.flatnonzero(known.sum(axis=0) > FEWEST)
-    if not len(joints):
-        return process
-    series = [(encoders.t[known[:, joint]], encoders.values[known[:, joint], joint]) for joint in joints]
-    fellows, noise = np.array([_fellows(t) for t, _ in series]), encoder[joints]
-    folded = _side_by_side([_averaged(t, y, k) for (t, y), k in zip(series, fellows, strict=True)])
-    process[joints] = noise * _followed_by(folded, process[joints] / noise, noise / fellows, order)
+    if len(joints):
+        series = [(encoders.t[known[:, joint]], encoders.values[known[:, joint], joint]) for joint in joints]
+        (folded, fellows, _), noise = _averages(series), encoder[joints]
+        process[joints] = noise * _followed_by(folded, process[joints] / noise, noise / fellows, order)
     return process
 
 
@@ -97,10 +92,7 @@ def likeliest(
     series: list[tuple[Array, Array]], order: int = 2, known: Array | None = None
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Noise variances, unless `known`, and densities (M,) of most evidence (M,) of each joint's times and readings."""
-    fellows = np.array([_fellows(t) for t, _ in series])
-    means = [_averaged(t, y, k) for (t, y), k in zip(series, fellows, strict=True)]
-    folded = _side_by_side(means)
-    step = np.array([median_step(t) for t, *_ in means])
+    folded, fellows, step = _averages(series)
     # a ratio of 1 per average has a memory of one average
     per_average = float(STRETCH) ** (-2 * order) * 2.0 ** (0.5 * order * np.arange(TRIED))
     ratios = per_average[:, None] / step ** (2 * order - 1)
@@ -136,6 +128,13 @@ def _fellows(t: Array) -> int:
     return max(1, min(round(SPACING / max(step, 1e-9)), len(t) // FEWEST))
 
 
+def _averages(series: list[tuple[Array, Array]]) -> tuple[tuple[Array, Array, Array], Array, Array]:
+    """Averages of each joint's readings, side by side; readings (M,) per average, and the time (M,) s between them."""
+    fellows = np.array([_fellows(t) for t, _ in series])
+    means = [_averaged(t, y, k) for (t, y), k in zip(series, fellows, strict=True)]
+    return _side_by_side(means), fellows, np.array([median_step(t) for t, *_ in means])
+
+
 def _averaged(t: Array, y: Array, fellows: int) -> tuple[Array, Array, Array]:
     """Means (N,) of times and of readings, and where the filter restarts: at and after a mean with a break."""
     whole = len(t) // fellows * fellows
@@ -165,13 +164,10 @@ def _side_by_side(series: list[tuple[Array, Array, Array]]) -> tuple[Array, Arra
 
 def _breaks(t: Array, y: Array) -> Array:
     """Readings (N,) that cannot follow from their neighbours, where the filter restarts."""
-    bend = np.abs(np.diff(y, 2))
-    gap = np.diff(t) > 20.0 * median_step(t)
-    alone = _alone(bend)
-    fresh = np.zeros(len(y), bool)
+    alone, fresh = _alone(np.abs(np.diff(y, 2))), np.zeros(len(y), bool)
     fresh[1:-1] = alone
     fresh[2:] |= alone
-    fresh[1:] |= gap
+    fresh[1:] |= np.diff(t) > LONG * median_step(t)
     return fresh
 
 
@@ -180,8 +176,8 @@ def _alone(bend: Array) -> Array:
     moved = bend[bend > 0.0]
     # where most readings repeat, the others are typical
     typical = median(bend) if 2 * len(moved) > len(bend) else median(moved) if len(moved) else np.inf
-    found = bend > BREAK * 1.4826 * typical
+    found = bend > GATE * 1.4826 * typical
     at = np.flatnonzero(found)
-    around = np.pad(bend, AROUND)[at[:, None] + np.arange(2 * AROUND + 1)]
-    found[at] = bend[at] > BREAK * np.median(around, axis=1)
+    # a false reading makes three of seven large, not their median
+    found[at] = bend[at] > GATE * np.median(np.pad(bend, 3)[at[:, None] + np.arange(7)], axis=1)
     return np.asarray(found)

@@ -1,23 +1,24 @@
-"""Evidence of the whole filter, images included, for many noise models at once."""
+"""Noise models by evidence: the order of motion by encoders, and variances by the whole filter, images included."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ...types import Array
+from ...types import Array, Hypothesis
 from ..inference.gauss_newton import solve_knots
 from ..inference.knot_problem import KnotProblem
 from ..inference.problem import Problem
+from ..inference.reacquisition import left_open, silent
 from ..inference.scan import scan
 from ..inference.solution import Solution
-from ..measurements.long_arrays import seen
+from ..measurements.long_arrays import median_step, seen
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import timeline
+from .correlated_noise import steady_variance
 from .encoder_noise import FEWEST, floor, followable
 from .noise_model import NoiseModel
 from .smoother_process import least, side_by_side
-from .steady import steady_variance
 from .visibility import View, views, visual
 
 MOST = 1000
@@ -28,6 +29,29 @@ NEARLY = 0.25
 """Standard deviations: tolerance on starts for comparing candidates that start there."""
 ROUNDS = (1.0, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
+
+
+def with_preferred_order(problem: Problem) -> Problem:
+    """The problem with white jerk where the encoders' evidence prefers it, if its noise is learned from the log.
+
+    Also where images leave silent joints open: over seconds accelerations last, which a log's readings, hundredths of a
+    second apart, may not show. Where they determine all silent joints these keep white acceleration.
+    """
+    encoders, precision, learned = problem.evidence.encoders, problem.precision, problem.precision.learned
+    unread = problem.posture_prior is not None
+    if encoders is None or learned is None or unread or (np.isfinite(encoders.values).sum(axis=0) <= FEWEST).any():
+        return problem
+    lasting = bool(left_open(problem.timeline.t, problem.evidence).any())
+    if not lasting and silent(problem.timeline.t, encoders).any():
+        return problem
+    white, jerk = learned
+    nats = jerk.evidence - white.evidence
+    # both motions have one parameter per joint, so neither is the simpler one
+    order = Hypothesis("white jerk", "joints", nats, 0.0, bool(nats > 0.0) or lasting)
+    evidence = replace(problem.evidence, hypotheses=(*problem.evidence.hypotheses, order))
+    if order.chosen:
+        precision = replace(precision, encoder=jerk.encoder, order=3).held(jerk.process, encoders)
+    return replace(problem, evidence=evidence, precision=precision)
 
 
 def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
@@ -81,43 +105,33 @@ def _of_smoother(part: Problem, solved: tuple[KnotProblem, Solution]) -> NoiseMo
 
 
 def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
-    """A filter's noise model, with the share of its covariance to state."""
-    evident, white = _own(problem, part, solved)
-    encoders = problem.evidence.encoders
-    return (
-        replace(part.precision, process=evident) if encoders is None else part.precision.held(evident, encoders, white)
-    )
-
-
-def _own(problem: Problem, part: Problem, first: Solution) -> tuple[Array, Array]:
-    """Process variances (M,) of a filter, which fits no motion at all time scales, and the encoders' share (M,).
+    """A filter's noise model, which fits no motion at all time scales, with the share of its covariance to state.
 
     A joint has its encoder's process variance to the extent that the encoder determines it: the variance by all senses
     over the one by encoders alone is what images leave undetermined. With one camera this is a direction in which
     joints err together. Independent errors add up to it only with as many times their variance as joints take part.
     """
     encoders, precision, m = problem.evidence.encoders, problem.precision, len(problem.start)
-    share, white = np.full(m, 0.5), np.zeros(m)
-    if encoders is not None and len(encoders.t) > 1:
-        density = precision.encoder * float(np.median(np.diff(encoders.t)))
-        together = np.sqrt(first.fold.unfold(np.einsum("liic->lic", first.trace.p[:, :m, :m]))).mean(axis=0)
-        unknown, white = (
-            np.minimum(together**2 / steady_variance(density, process, precision.order), 1.0)
-            for process in (precision.process, part.precision.process)
-        )
-        taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
-        # a silent encoder has no share
-        share = np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0)
     alone = precision.process if precision.evident is None else precision.evident
-    return np.asarray(share * alone + (1.0 - share) * part.precision.process), white
+    if encoders is None or len(encoders.t) < 2:
+        return replace(part.precision, process=0.5 * (alone + part.precision.process))
+    density = precision.encoder * median_step(encoders.t)
+    together = np.sqrt(solved.fold.unfold(np.einsum("liic->lic", solved.trace.p[:, :m, :m]))).mean(axis=0)
+    unknown, white = (
+        np.minimum(together**2 / steady_variance(density, process, precision.order), 1.0)
+        for process in (precision.process, part.precision.process)
+    )
+    taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
+    # a silent encoder has no share
+    share = np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0)
+    return part.precision.held(share * alone + (1.0 - share) * part.precision.process, encoders, white)
 
 
 def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
-    m, precision = len(part.start), part.precision
+    m = len(part.start)
     # correlated frames predict each other well, which is no evidence of lower pixel noise
-    found = {name: max(float(v), 1.0) for name, v in zip(names, values[m:], strict=True)}
-    scale = {**precision.scale, **found}
-    return replace(precision, process=values[:m], scale=scale)
+    found = dict(zip(names, np.maximum(values[m:], 1.0).tolist(), strict=True))
+    return replace(part.precision, process=values[:m], scale={**part.precision.scale, **found})
 
 
 def _step(nats: Array, half: float) -> Array:

@@ -11,12 +11,9 @@ from ..inference.reacquisition import START_STD
 from ..inference.stationary import Stationary
 from ..measurements.records import Evidence
 from .noise_model import NoiseModel
-from .steady import steady_density
 
 WIDER = 2.0
 """Prior standard deviation of a joint, in standard deviations of the explored angles."""
-BROAD = 1.8
-"""Least product of the variances of angle and acceleration, over the square of the rate's: of a flat spectrum."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +37,8 @@ class PosturePrior:
 
 def learn_prior(evidence: Evidence, process: Array, start: Array) -> PosturePrior | None:
     """The prior of joints without encoder readings in a log, from the samples of its tracks' models."""
-    silent: Array = np.ones(len(process), bool)
-    if evidence.encoders is not None:
-        silent = np.all(~np.isfinite(evidence.encoders.values), axis=0)
-    return prior_of(silent, {s.name: s.model for s in evidence.sightings}, process, start)
+    read = np.zeros(len(process)) if evidence.encoders is None else np.isfinite(evidence.encoders.values).any(axis=0)
+    return prior_of(read == 0, {s.name: s.model for s in evidence.sightings}, process, start)
 
 
 def prior_of(
@@ -51,14 +46,14 @@ def prior_of(
 ) -> PosturePrior | None:  # fmt: skip
     """The prior of the `silent` joints (M,) bool; None if there are none or no model has samples.
 
-    Pseudo-readings hold a joint at a filter's steady variance, and their density is such that this equals the widened
-    variance of the explored angles. The mean is that of the explored angles, or the start if only touch was measured.
+    The density of pseudo-readings is such that a filter's `steady_variance` equals the widened variance of the explored
+    angles. The mean is that of the explored angles, or the start if only touch was measured.
     """
     known = _explored(models)
     if not silent.any() or known is None:
         return None
-    (mean, std), seen = known, any(name != "touch" for name in models)
-    density = steady_density(np.square(WIDER * std), process, order)
+    (mean, std), seen, power = known, any(name != "touch" for name in models), 1.0 / (2 * order)
+    density = (np.square(WIDER * std) * np.sin(np.pi * power) / process**power) ** (1.0 / (1.0 - power))
     silent = silent & (density > 0)
     return PosturePrior(silent, mean if seen else start, density) if silent.any() else None
 
@@ -75,7 +70,8 @@ def stationary(models: Mapping[str, ForwardModel], start: Array, precision: Nois
     if precision.moments is not None:
         var = np.concatenate([np.maximum(var[:1], precision.moments[:1]), precision.moments[1:]])
     if order == 3:
-        var[0] = np.maximum(var[0], BROAD * var[1] ** 2 / var[2])
+        # a flat spectrum up to some frequency has the narrowest angles for its rates and accelerations
+        var[0] = np.maximum(var[0], 9.0 / 5.0 * var[1] ** 2 / var[2])
     return Stationary(mean, var, precision.process)
 
 

@@ -11,9 +11,6 @@ from ...types import Array, Finding
 from ..measurements.records import Sighting
 from .noise_model import NoiseModel
 
-TOUCH = "touch"
-"""Name of touch among the sightings."""
-
 
 def check(settings: Estimation, joints: Sequence[str], tracks: Sequence[str]) -> None:
     """UsageError for a table that names an unknown joint or track."""
@@ -34,7 +31,7 @@ def of_joints(given: float | Mapping[str, float] | None, joints: Sequence[str], 
 
 def of_track(settings: Estimation, name: str) -> float | None:
     """The variance (px²) given for a track, or for touch."""
-    if name == TOUCH:
+    if name == "touch":
         return settings.sigma_touch
     given = settings.sigma_vision
     return given.get(name) if isinstance(given, Mapping) else given

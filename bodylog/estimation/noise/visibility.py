@@ -14,7 +14,7 @@ from ..measurements.long_arrays import seen as seen_rows
 from ..measurements.records import Sighting
 
 LONG = 10
-"""Usual steps after which an unseen track is out of view."""
+"""Usual steps after which there is a gap: an unseen track is out of view, a filter of encoder readings restarts."""
 
 View = tuple[str, ...]
 
