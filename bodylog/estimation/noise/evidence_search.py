@@ -27,7 +27,7 @@ ROUGHLY = 1e-2
 """Standard deviations: tolerance on starts for comparing a solution's evidence."""
 NEARLY = 0.25
 """Standard deviations: tolerance on starts for comparing candidates that start there."""
-ROUNDS = (1.0, 0.35)
+ROUNDS = (1.2, 0.7, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
 
