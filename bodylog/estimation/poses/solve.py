@@ -76,11 +76,11 @@ class Solved:
 
 def gathered(encoders: Encoders | None, sightings: Sequence[Sighting], body: BodyModel) -> Poses:
     """Collect the readings of every pose, by time."""
-    heard, columns = () if encoders is None else (encoders,), _columns(len(body.joints), sightings)
-    t = union(*(sense.t for sense in (*sightings, *heard)))
+    read, columns = () if encoders is None else (encoders,), _columns(len(body.joints), sightings)
+    t = union(*(sense.t for sense in (*sightings, *read)))
     width = columns[-1].stop if columns else len(body.joints)
     y, var, sources = np.full((len(t), width), np.nan), np.ones((len(t), width)), np.zeros(len(t), np.int64)
-    for sense, own in zip((*sightings, *heard), (*columns, slice(0, len(body.joints))), strict=False):
+    for sense, own in zip((*sightings, *read), (*columns, slice(0, len(body.joints))), strict=False):
         at = np.searchsorted(t, sense.t)
         y[at, own], sources[at] = sense.values, sense.source_ns
         var[at, own] = sense.var if isinstance(sense, Sighting) else 1.0
