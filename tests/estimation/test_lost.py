@@ -152,7 +152,7 @@ def test_belief_rejects_a_faulty_encoder_after_a_silence(world, size, seed):
     features = shifted(features, size, features.joints.t >= 9.0, "pan")
     rmse, nees, faults, _ = judged(features, drawn, 0.0)
     assert rmse < 0.02 and nees < 2.0
-    assert [fault.name for fault in faults] == (["pan"] if size < 1.0 else [])
+    assert [fault.name for fault in faults] == ["pan"]
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
@@ -222,6 +222,17 @@ def test_pause_of_any_length_separates_its_sides(world, white_acceleration, meth
     truth = np.stack([np.interp(t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1)
     rms, usual = (np.sqrt(np.square(one.joints.values - truth)[after].mean()) for one in (found, whole))
     assert rms < 1.2 * usual
+
+
+@pytest.mark.parametrize("gap", [1e3, 1e5])
+def test_joint_that_is_first_read_after_a_long_pause_starts_there(world, gap):
+    """Unless it is reset, its variance has grown so far that rounding swallows the reading's."""
+    drawn = world(3, duration=8.0)
+    features = paused(muted(drawn.features, 0.0, 4.001, ("pan",)), 4.0, gap)
+    found = estimate(features, drawn.body, Estimation(start=tuple(drawn.truth.values[0])))
+    after = found.joints.t > gap
+    truth = [np.interp(found.joints.t[after] - gap, drawn.truth.t, column) for column in drawn.truth.values.T]
+    assert np.sqrt(np.square(found.joints.values[after] - np.stack(truth, axis=1)).mean()) < 0.01
 
 
 def test_estimate_refuses_a_grid_of_mostly_silence(world):

@@ -20,10 +20,7 @@ def carry(a: Array | list[Array], dt: Array | float) -> None:
 
 def carry_back(a: Array | list[Array], dt: Array | float) -> None:
     """Move adjoints of the derivatives a (O,…) back by dt, in place: the transpose of `carry`."""
-    for state in range(len(a) - 1, 0, -1):
-        a[state] += dt * a[state - 1]
-        if state > 1:
-            a[state] += (0.5 * dt * dt) * a[state - 2]
+    carry(a[::-1], dt)  # what a derivative adds to the angle, the angle's adjoint adds to the derivative's
 
 
 @cache

@@ -24,16 +24,15 @@ from .scan import EVEN
 class State:
     """After an instant t (s; −∞ before the first): belief (K,K+1), the rows of the covariance, each with the mean last.
 
-    borne (M) s: time at which each encoder last confirmed the belief, −∞ for never; oldest (s): the least of these ·
-    seen: last frame of each track · uneven: instants since the covariance was made symmetric. Of this instant: nats ·
-    encoder_d (M) and errors of tracks, in standard deviations · lost (M,) bool: joints re-initialised · held (M,) bool:
-    joints silent for long before it · lines: the tracks' ungated lines if these joints were hardly determined.
+    borne (M) s: time at which each encoder last confirmed the belief, −∞ for never · seen: last frame of each track ·
+    uneven: instants since the covariance was made symmetric. Of this instant: nats · encoder_d (M) and errors of
+    tracks, in standard deviations · lost (M,) bool: joints re-initialised · held (M,) bool: joints silent for long
+    before it · point (M,) rad of its tangents · lines: the tracks' ungated lines if held joints were hardly determined.
     """
 
     t: float
     belief: Array
     borne: Sequence[float]
-    oldest: float = -math.inf
     seen: Mapping[Any, PendingFrame] = field(default_factory=dict)
     uneven: int = 0
     nats: float = 0.0
@@ -66,7 +65,7 @@ class SequentialFilter:
         more (M,): factor on the process variance.
         """
         dt, order, borne = t - before.t if before.t > -math.inf else 0.0, self._dynamics.order, before.borne
-        quiet, held, numbers, lost = not t - before.oldest <= SILENCE, None, 0, None
+        quiet, held, numbers, lost = not t - min(borne) <= SILENCE, None, 0, None
         if quiet:
             ages = t - np.array(borne)
             numbers = sum(len(frame.value) for frame in before.seen.values() if t - frame.t <= SILENCE)
@@ -83,7 +82,7 @@ class SequentialFilter:
         if self._posture is not None and dt > 0.0:
             readings, var = (part.tolist() for part in self._posture.read(np.array(readings), np.array(var), dt))
         noise, d, nats = self._steps.gated(belief, readings, var)
-        after = State(t, belief, borne, min(borne), before.seen, uneven, nats, d, lost, held)
+        after = State(t, belief, borne, before.seen, uneven, nats, d, lost, held)
         if frames:
             self._see(after, frames, readings, noise, numbers > 0 and held is not None)
         after.nats += self._steps.condition(belief, readings, noise)

@@ -129,7 +129,7 @@ def _stepped(problem: Problem, share: float, rest: float, fold: Fold) -> Walked:
             z[:, (k + 1) // fold.length], p[..., (k + 1) // fold.length] = state.belief[:, -1], state.belief[:, :-1]
         means[k], var[k] = state.belief[:size, -1], state.belief.diagonal()[:size]
         points[k] = means[k, :m] if state.point is None else state.point
-        read[k] = state.t > line[0] + SILENCE and state.oldest == state.t
+        read[k] = state.t > line[0] + SILENCE and min(state.borne) == state.t
         if state.held is not None:
             held[k] = state.held
         if state.lost is not None:
