@@ -84,6 +84,7 @@ _WORDS: Mapping[tuple[str, str], Callable[[Fault, str, str, bool], str]] = {
     ("encoders", "drifting"): _drifting,
     ("encoders", "offset"): lambda f, size, since, known: f"{f.name}: encoder is off{f' by {size}' * known} {since}",
     ("encoders", "jumping"): _jumping,
+    ("encoders", "glitch"): lambda f, size, since, known: f"{f.name}: encoder is off by {size} for a moment {since}",
     ("encoders", "frozen"): lambda f, size, since, known: f"{f.name}: encoder is frozen {since}",
     ("encoders", "dead"): lambda f, size, since, known: f"{f.name}: encoder is silent {since}",
     ("vision", "frozen"): lambda f, size, since, known: f"{f.name}: its images are frozen {since}",

@@ -45,8 +45,13 @@ def drift(t, y):
     y += np.clip((t - 6.0) * 0.02, 0.0, None)
 
 
+def return_to_zero(t, y):
+    y[(t >= 7.0) & (t < 7.3)] = 0.0
+
+
 HYPOTHESES = {
-    "frozen": "encoder frozen", "dead": "encoder dead", "jumping": "encoder jumped", "drifting": "encoder offset",
+    "frozen": "encoder frozen", "dead": "encoder dead", "jumping": "encoder jumped", "glitch": "encoder jumped",
+    "drifting": "encoder offset",
 }  # fmt: skip
 """Kinds of fault and the hypotheses that they are."""
 
@@ -58,6 +63,7 @@ HYPOTHESES = {
         (die, "dead", 9.0, 0.1, 0.0),
         (fall_to_zero, "dead", 8.0, 0.01, 0.0),
         (jump, "jumping", 7.0, 0.01, -0.2),
+        (return_to_zero, "glitch", 7.0, 0.01, 1.10),
         (drift, "drifting", 6.5, 2.0, 0.14),
     ],
 )
@@ -70,6 +76,22 @@ def test_faulty_encoder_is_named_and_replaced(world, change, kind, since, late, 
     error = np.sqrt(np.mean((found.joints.values - drawn.truth.values)[:, 0] ** 2))
     assert error < 0.006
     assert chosen(found) == [(HYPOTHESES[kind], "pan")]
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_zeros_before_an_encoders_first_reading_are_removed(world, method, seed):
+    def late(t, y):
+        y[t < t[0] + 0.3] = 0.0
+
+    drawn = world(seed, duration=8.0, encoder_std=0.002)
+    settings, errors = Estimation(method=method), []
+    for features in (drawn.features, spoil(drawn, late, "elbow")):
+        found = estimate(features, drawn.body, settings)
+        error = (found.joints.values - drawn.truth.values)[found.joints.t > 1.0]
+        errors.append(np.sqrt(np.mean(error**2)))
+    assert [(f.name, f.kind, f.since < 0.05) for f in found.faults] == [("elbow", "glitch", True)]
+    assert errors[1] < 1.1 * errors[0]
 
 
 def chosen(found):

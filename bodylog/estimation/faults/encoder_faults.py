@@ -1,10 +1,11 @@
-"""Encoder faults that show in the readings alone: frozen, dead and jumping encoders, one joint after the other.
+"""Encoder faults that show in the readings alone: frozen, dead and jumping encoders and glitches, joint by joint.
 
 Offsets, which need the other senses, are found by `encoder_offset`.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +14,8 @@ from ...body_model import BodyModel
 from ...types import Array, Fault, Finding, Hypothesis
 from ..measurements.records import Encoders, Evidence
 from .contract import Verdict
-from .jumping import shifts, unwrapped
-from .repeats import dropped_to_zero, frozen, repeat_nats, silence_nats, silent_since
+from .jumping import jumps, shifts, unwrapped
+from .repeats import FROZEN, dropped_to_zero, frozen, repeat_nats, silence_nats, silent_since
 from .stalled import Stall, stalled
 from .threshold import NATS
 
@@ -31,7 +32,7 @@ class Screened(NamedTuple):
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
-    """Remove frozen and dead stretches and undo jumps; whole turns are unwrapped only where encoders read angles."""
+    """Remove frozen and dead stretches and glitches, undo jumps, and unwrap whole turns where encoders read angles."""
     encoders = evidence.encoders
     if encoders is None:
         return Verdict(evidence)
@@ -42,7 +43,7 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
     each = [_screened(encoders.t, y, those, angles) for y, those in zip(encoders.values.T, own, strict=True)]
     for name, one in zip(body.joints, each, strict=True):
         faults += [Fault("encoders", name, *fault, "rad") for fault in one.faults]
-        kinds = {kind for kind, *_ in one.faults}
+        kinds = {"jumping" if kind == "glitch" else kind for kind, *_ in one.faults}
         hypotheses += [
             Hypothesis(f"encoder {'jumped' if kind == 'jumping' else kind}", name, nats, NATS, kind in kinds)
             for kind, nats in one.nats.items()
@@ -67,7 +68,7 @@ def _with_readings(encoders: Encoders, each: Sequence[Screened]) -> Encoders:
 def _screened(t: Array, y: Array, stalls: Sequence[Stall] = (), angles: bool = True) -> Screened:
     """Screen one encoder's readings y (N,) rad at t (N,) s; `stalls`: its repeats that images contradict.
 
-    An encoder that repeats exactly zero is dead from its first zero on. Faults have size 0 except for jumps.
+    An encoder that repeats exactly zero is dead from its first zero on. Only jumps and glitches have a size.
     """
     if not np.isfinite(y).any():
         return Screened(y, (), {}, None)
@@ -79,10 +80,12 @@ def _screened(t: Array, y: Array, stalls: Sequence[Stall] = (), angles: bool = T
     if not found and (since := silent_since(t, values)) is not None:
         found.append(("dead", since, 0.0))
     moves = shifts(t, values)
-    for at, size, nats in moves:
-        if nats > NATS:
-            found.append(("jumping", float(t[at]), size))
-            values[at:] -= size
+    for begin, end, size in _excursions(t, values, moves):
+        found.append(("glitch", float(t[begin]), size))
+        values[begin:end] = np.nan
+    for at, size in jumps(t, values):
+        found.append(("jumping", float(t[at]), size))
+        values[at:] -= size
     repeated, value = repeat_nats(y)
     won = {
         "frozen": max([repeated if value else min(repeated, 0.0), *(stall.nats for stall in stalls)]),
@@ -90,6 +93,19 @@ def _screened(t: Array, y: Array, stalls: Sequence[Stall] = (), angles: bool = T
         "jumping": max((nats for *_, nats in moves), default=0.0),
     }
     return Screened(values, found, won, float(t[int(turned.argmax())]) if turned.any() else None)
+
+
+def _excursions(t: Array, y: Array, moves: Sequence[tuple[int, float, float]]) -> list[tuple[int, int, float]]:
+    """Short stretches [begin, end) of readings y (N,) before the first jump or between two, and their shifts (rad).
+
+    Such as a driver's zeros before its first reading: the readings after them are sound. Jumps are those of the `moves`
+    that win NATS.
+    """
+    edges = [(at, size) for at, size, nats in moves if nats > NATS]
+    if not edges:
+        return []
+    stretches = pairwise([(int(np.isfinite(y).argmax()), -edges[0][1]), *edges])
+    return [(begin, end, size) for (begin, size), (end, _) in stretches if t[end] - t[begin] < FROZEN]
 
 
 def _faulty_repeats(t: Array, y: Array, stalls: Sequence[Stall]) -> list[tuple[str, int, int]]:
