@@ -12,12 +12,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
 from ...body_model import ForwardModel
 from ...types import Array
 from ..measurements.records import mixed
+
+Number = TypeVar("Number", float, Array)
 
 NEAR = 0.5
 """px: correlation length of perception's error, which has the period of the pixels."""
@@ -82,9 +85,9 @@ class ErrorCorrelation:
         span = (error / np.maximum(drift, 1e-9)) ** self.power
         return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
 
-    def times(self, count: Array, like: Array) -> Array:
+    def times(self, count: Number, like: Number) -> Number:
         """Factor on the variance of a frame that counts as one of `count`; `like`: correlation with the last."""
-        return np.asarray(2.0 * count - 1.0 + LASTING[self.share] * like / count)
+        return 2.0 * count - 1.0 + LASTING[self.share] * like / count
 
 
 def reach(model: ForwardModel) -> Array:
@@ -187,7 +190,7 @@ class PendingFrame:
 
     def _inflation(self, x: Array, jac: Array, model: Array) -> tuple[float, float, LastFrame]:
         """Factors on perception's and the model's variance, and the memory afterwards."""
-        last, like, share = self.memory, self.like, LASTING[self.like.share]
+        last, like = self.memory, self.like
         if last.place is None or last.point is None:
             return 1.0, 1.0, LastFrame(self.t, self.value, x, np.ones(2))
         step, away = (self.value - last.place).tolist(), ((x - last.point) / like.reach).tolist()
@@ -199,8 +202,5 @@ class PendingFrame:
         fade = math.exp(-2.0 * (self.t - last.t) / span)
         by_spot, by_posture = last.count.tolist()
         counts = 1.0 + fade * spot * by_spot, 1.0 + fade * posture * by_posture
-        spots, postures = (
-            2.0 * count - 1.0 + share * similarity / count
-            for count, similarity in zip(counts, (spot, posture), strict=True)
-        )
+        spots, postures = like.times(counts[0], spot), like.times(counts[1], posture)
         return spots, postures, LastFrame(self.t, self.value, x, np.array(counts))

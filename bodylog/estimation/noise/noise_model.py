@@ -79,7 +79,8 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseM
     encoder, process = np.array(body.noise.encoder, float), np.array(body.noise.process, float)
     scale = {sighting.name: 1.0 for sighting in evidence.sightings}
     if settings.precision == "fixed":
-        return NoiseModel(np.full(len(encoder), PAPER[1]), process, None, _fixed(evidence))
+        fixed = {s.name: float(PAPER[2] / np.median(s.var)) for s in evidence.sightings if s.name != "touch"}
+        return NoiseModel(np.full(len(encoder), PAPER[1]), process, None, fixed)
     if settings.precision != "auto":
         return NoiseModel(encoder, process, None, scale)
     near = {s.name: NEAR for s in evidence.sightings if s.name != "touch" and s.cov is None}
@@ -98,10 +99,9 @@ def weighed(evidence: Evidence, precision: NoiseModel, settings: Estimation) -> 
     if settings.precision != "auto" or encoders is None or not (np.diff(encoders.values, axis=0) == 0.0).any():
         return evidence
     found = np.ones(encoders.values.shape)
-    for joint, (column, variance) in enumerate(zip(encoders.values.T, precision.encoder, strict=True)):
-        known = np.isfinite(column)
-        if known.any():
-            found[known, joint] = relative(encoders.t[known], column[known], variance)
+    for own, column, variance in zip(found.T, encoders.values.T, precision.encoder, strict=True):
+        if (known := np.isfinite(column)).any():
+            own[known] = relative(encoders.t[known], column[known], variance)
     return replace(evidence, encoders=replace(encoders, relative=found))
 
 
@@ -151,9 +151,3 @@ def warned(evidence: Evidence, body: BodyModel, settings: Estimation) -> Evidenc
         "the body's is used, and error bars are true only if these encoders are as noisy"
     )
     return replace(evidence, findings=(*evidence.findings, Finding("warning", text)))
-
-
-def _fixed(evidence: Evidence) -> dict[str, float]:
-    """Factors that bring each track's median variance to the paper's σ_v, except touch."""
-    visual = [sighting for sighting in evidence.sightings if sighting.name != "touch"]
-    return {s.name: float(PAPER[2] / np.median(s.var)) for s in visual}

@@ -28,12 +28,10 @@ def shared_variance(t: Array, y: Array) -> float:
 
 def dithered(t: Array, y: Array) -> tuple[Array, float, float]:
     """Readings (N,) dithered over their step, the variance (rad²) of the dither, and the least variance."""
-    step = step_size(y)
+    step, least = step_size(y), resolved(y) * shared_variance(t, y)
     if step == 0.0:
-        return y, 0.0, resolved(y) * shared_variance(t, y)
-    variance = step * step / 12.0
-    spread = y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y))
-    return spread, variance, variance * shared_variance(t, y)
+        return y, 0.0, least
+    return y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y)), step * step / 12.0, least
 
 
 def relative(t: Array, y: Array, variance: float) -> Array:

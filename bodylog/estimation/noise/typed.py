@@ -39,29 +39,23 @@ def of_track(settings: Estimation, name: str) -> float | None:
 
 def sightings(found: Sequence[Sighting], settings: Estimation) -> tuple[Sighting, ...]:
     """The sightings with the variances set for them."""
-    return tuple(_as_given(one, of_track(settings, one.name)) for one in found)
-
-
-def _as_given(sighting: Sighting, variance: float | None) -> Sighting:
-    return sighting if variance is None else replace(sighting, var=np.full_like(sighting.var, variance), cov=None)
+    given = [(one, of_track(settings, one.name)) for one in found]
+    return tuple(one if v is None else replace(one, var=np.full_like(one.var, v), cov=None) for one, v in given)
 
 
 def precision(found: NoiseModel, settings: Estimation, joints: Sequence[str]) -> NoiseModel:
     """The noise model with the variances that are set; with a process set, the full covariance is stated."""
-    scale = {name: factor if of_track(settings, name) is None else 1.0 for name, factor in found.scale.items()}
-    encoder = of_joints(settings.sigma_encoders, joints, found.encoder)
-    if settings.process is None:
-        return replace(found, encoder=encoder, scale=scale)
-    process = of_joints(settings.process, joints, found.process)
-    likeliest = None if found.likeliest is None else of_joints(settings.process, joints, found.likeliest)
-    fewer = {view: of_joints(settings.process, joints, one) for view, one in found.fewer.items()}
-    stated = of_joints(
-        1.0 if not isinstance(settings.process, Mapping) else dict.fromkeys(settings.process, 1.0), joints,
-        np.broadcast_to(found.stated, process.shape),
-    )  # fmt: skip
+
+    def given(learned: Array) -> Array:
+        return of_joints(settings.process, joints, learned)
+
     return replace(
-        found, encoder=encoder, process=process, scale=scale, likeliest=likeliest, fewer=fewer, stated=stated
-    )
+        found, encoder=of_joints(settings.sigma_encoders, joints, found.encoder), process=given(found.process),
+        likeliest=None if found.likeliest is None else given(found.likeliest),
+        fewer={view: given(one) for view, one in found.fewer.items()},
+        stated=np.where(np.isnan(given(np.full(len(joints), np.nan))), found.stated, 1.0),
+        scale={name: factor if of_track(settings, name) is None else 1.0 for name, factor in found.scale.items()},
+    )  # fmt: skip
 
 
 def remark(settings: Estimation, found: NoiseModel, sightings: Sequence[Sighting]) -> tuple[Finding, ...]:
