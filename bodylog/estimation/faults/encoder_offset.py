@@ -50,11 +50,7 @@ def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[
         found, nats = _weighed(_with_way(ways[joint], joint, near), compared), ways[joint].nats
         # once one offset is modelled, another may show
         suspected = (_walks(found) == 0) & ~np.isin(np.arange(len(suspected)), list(found.alternatives))
-    if not found.alternatives:
-        return found
-    # images that looked blurred because of the offset regain the std that perception states
-    sharp = replace(found, precision=replace(found.precision, scale=dict.fromkeys(found.precision.scale, 1.0)))
-    return sharp if sharp.precision.scale != found.precision.scale and cost(sharp) < nats else found
+    return found
 
 
 def _near(costs: Mapping[int, float]) -> list[int]:

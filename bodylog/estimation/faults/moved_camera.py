@@ -6,7 +6,7 @@ k-th mean on, with all k equally likely, adds ½ bᵀA⁻¹b − ½ ln|σ²A| to
 It must win against no displacement, encoders that wander, one that wanders far or steps, and all wrong at first.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,6 @@ import numpy as np
 from ...body_model import BodyModel
 from ...linear_algebra import forward_substituted
 from ...types import Array, Fault, Hypothesis
-from ..inference.filter_records import GATE
 from ..inference.initial_path import OFFSET_STD
 from ..measurements.gather import camera
 from ..measurements.records import Encoders, Evidence, Sighting
@@ -57,10 +56,6 @@ class _Rows:
     encoder: Array
     model: Array
     speed: Array
-
-    def series(self) -> Iterator[Array]:
-        """Yield the rows of each output of each track."""
-        yield from (np.flatnonzero(self.number == number) for number in np.unique(self.number))
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
@@ -107,25 +102,12 @@ def displacements(encoders: Encoders, seen: Sequence[Sighting]) -> list[Displace
     rows = _rows(found) if found else None
     if rows is None or not len(rows.t):
         return []
-    cov = _robust_covariance(rows)
+    cov = _covariance(rows)
     moves = _displacements(rows, np.linalg.cholesky(cov))
     if moves[0].nats > NATS:
         beyond = _gain_over_encoders(rows, cov, moves)
         moves = [replace(one, nats=min(one.nats, beyond)) for one in (moves if beyond > NATS else moves[:1])]
     return sorted(moves, key=lambda one: one.t)
-
-
-def _robust_covariance(rows: _Rows) -> Array:
-    """Covariance (R,R) with variance added to rows far from the median of their neighbours."""
-    cov, far = _covariance(rows), np.zeros(len(rows.t))
-    spread = np.sqrt(np.diag(cov))
-    for own in rows.series():
-        if len(own) >= 5:
-            # a median of five preserves a step
-            beside = np.lib.stride_tricks.sliding_window_view(np.pad(rows.r[own], 2, "edge"), 5)
-            far[own] = np.abs(rows.r[own] - np.median(beside, axis=1)) / (GATE * spread[own])
-    cov[np.diag_indices_from(cov)] += rows.noise * (np.maximum(far, 1.0) ** 2 - 1.0)
-    return cov
 
 
 def _displacements(rows: _Rows, chol: Array) -> list[Displacement]:
@@ -198,7 +180,7 @@ def _covariance(rows: _Rows) -> Array:
     cov += LATE**2 * np.outer(rows.speed, rows.speed)
     cov += _offset_covariance(rows, rows.jac, OFFSET_STD, WALKS[-1])
     model = np.sqrt(rows.model)
-    for own in rows.series():
+    for own in (np.flatnonzero(rows.number == number) for number in np.unique(rows.number)):
         apart = sum(np.square(np.subtract.outer(x, x)) for x in rows.x[own].T)
         cov[np.ix_(own, own)] += np.outer(model[own], model[own]) * np.exp(-0.5 * apart)
     cov[np.diag_indices_from(cov)] += rows.noise

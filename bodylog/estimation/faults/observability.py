@@ -47,14 +47,9 @@ def silence_findings(
 def _silent_from(frames: Array, known: Array) -> Iterator[str]:
     """Yield the long silences of an encoder with readings at known (N,) s during which there are frames (F,) s."""
     for k in np.flatnonzero(np.diff(known) > SILENT):
-        if _between(frames, known[k], known[k + 1]):
+        if np.searchsorted(frames, known[k]) < np.searchsorted(frames, known[k + 1]):
             yield f"{known[k]:.3f} to {known[k + 1]:.3f} s"
     if frames[-1] - known[-1] > SILENT:
         yield f"{known[-1]:.3f} s on"
     if known[0] - frames[0] > SILENT:
         yield f"the first image to {known[0]:.3f} s"
-
-
-def _between(frames: Array, begin: float, end: float) -> bool:
-    """Whether any of the frames (F,) s lies between two times."""
-    return bool(np.searchsorted(frames, begin) < np.searchsorted(frames, end))
