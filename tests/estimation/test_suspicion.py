@@ -107,6 +107,14 @@ def test_encoder_step_has_its_time_and_its_size_within_its_error(world, seed, jo
     assert abs(fault.size - size) < 4.0 * fault.std < 0.03
 
 
+@pytest.mark.parametrize(("seed", "joint", "size"), [(3, "elbow", 0.02), (4, "elbow", 0.05), (0, "pan", 0.02)])
+def test_encoder_step_that_a_filter_takes_for_motion_is_a_step(world, seed, joint, size):
+    drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
+    (fault,) = estimate(lying(drawn, size, joint), drawn.body, Estimation()).faults
+    assert (fault.name, fault.kind) == (joint, "jumping") and abs(fault.since - 8.0) < 0.25
+    assert abs(fault.size - size) < 4.0 * fault.std < 0.02
+
+
 def test_drift_has_a_size_with_its_error(world):
     drawn = world(1, duration=16.0, encoder_std=0.01, camera_hz=20.0)
     joints = drawn.features.joints
