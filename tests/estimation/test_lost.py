@@ -144,6 +144,15 @@ def test_mistaken_first_reading_is_corrected_by_the_next(world, row):
         assert rmse < 0.006 and nees < 1.3 and not faults
 
 
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize(("rows", "size"), [((1,), 0.05), ((0, 1), 0.5), ((0, 1, 2), 0.5), ((0, 1, 2, 3), 3.0)])
+def test_belief_that_rejects_an_encoder_from_the_start_recovers(world, rows, size, method):
+    drawn = world(1, duration=8.0, encoder_std=0.002)
+    features = shifted(drawn.features, size, np.isin(np.arange(len(drawn.truth.t)), rows), "lift")
+    rmse, nees, faults, _ = judged(features, drawn, 1.2, method=method)
+    assert rmse < 0.002 and nees < 1.4 and not faults
+
+
 @pytest.mark.parametrize("size", [0.1, *(pytest.param(size, marks=pytest.mark.soak) for size in (0.3, 1.0))])
 @pytest.mark.parametrize("seed", seeds(1, 2))
 def test_belief_rejects_a_faulty_encoder_after_a_silence(world, size, seed):

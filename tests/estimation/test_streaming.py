@@ -106,6 +106,15 @@ def test_estimator_equals_the_batch_filter(world, seed, bias):
     check(drawn.features, drawn.body, replace(MODEL, bias=bias))
 
 
+@pytest.mark.parametrize(("count", "size"), [(2, 0.5), (4, 3.0)])
+def test_estimator_recovers_from_mistaken_first_readings_as_the_batch(world, count, size):
+    drawn = world(1, duration=5.0, encoder_std=0.002)
+    joints = drawn.features.joints
+    values = joints.values.copy()
+    values[:count, 1] += size
+    check(replace(drawn.features, joints=replace(joints, values=values)), drawn.body)
+
+
 @pytest.mark.parametrize("names", [["pan", "lift", "elbow"], ["pan", "lift"]])
 @pytest.mark.parametrize("seed", seeds(1, 3))
 def test_estimator_recovers_a_lost_belief_as_the_batch(world, seed, names):

@@ -13,7 +13,7 @@ from ..noise.posture_prior import PosturePrior
 from . import instant
 from .convergence import RESTING, SETTLED
 from .encoder_steps import EncoderSteps
-from .filter_records import Dynamics
+from .filter_records import GATE, Dynamics
 from .initial_path import prior_of
 from .instant import Line
 from .reacquisition import SILENCE, open_joints, reacquired
@@ -78,10 +78,12 @@ class SequentialFilter:
             lost, confirmed = reacquired(
                 t, dt, ages, belief, np.array(readings), np.array(var), before.seen, bool(frames), order
             )
-        borne = [t if sure else last for sure, last in zip(confirmed, borne, strict=True)]
         if self._posture is not None and dt > 0.0:
             readings, var = (part.tolist() for part in self._posture.read(np.array(readings), np.array(var), dt))
         noise, d, nats = self._steps.gated(belief, readings, var)
+        # an outlier confirms nothing: a belief that rejects an encoder for long is in doubt as after its silence
+        sound = (sure and not abs(x) > GATE for sure, x in zip(confirmed, d, strict=True))
+        borne = [t if sure else last for sure, last in zip(sound, borne, strict=True)]
         after = State(t, belief, borne, before.seen, uneven, nats, d, lost, held)
         if frames:
             self._see(after, frames, readings, noise, numbers > 0 and held is not None)

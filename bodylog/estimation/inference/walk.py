@@ -41,10 +41,11 @@ class Walked:
     moments: Array | None
 
 
-def find_initial_path(problem: Problem) -> Problem:
-    """Add resets, and a path to linearise along first where encoders do not give one."""
+def find_initial_path(problem: Problem, lost: bool = False) -> Problem:
+    """Add resets, and a path to linearise along first where encoders do not give one, or the belief is `lost`."""
     line = problem.timeline.t
     confirmed, resets = _begun(problem)
+    confirmed = confirmed and not lost
     if confirmed and not _quiet(problem, line[-1:]):
         return replace(problem, resets=resets)
     problem = _with_stationary(problem)
@@ -54,6 +55,16 @@ def find_initial_path(problem: Problem) -> Problem:
     if problem.precision.learned is None:  # noise is not to be learned from the log
         return problem
     return _with_stationary(replace(problem, precision=replace(problem.precision, moments=whole.moments)))
+
+
+def loses_encoder(problem: Problem, solution: Solution) -> bool:
+    """Whether the belief rejects an encoder for longer than SILENCE."""
+    if problem.evidence.encoders is None:
+        return False
+    t, gate = problem.evidence.encoders.t[:, None], solution.readings.gate
+    d = np.abs(solution.fold.unfold(solution.trace.encoder_d)[problem.timeline.encoders])
+    confirmed = np.maximum.accumulate(np.where(d <= gate, t, t[0]), axis=0)
+    return bool(((d > gate) & (t - confirmed > SILENCE)).any())
 
 
 def _begun(problem: Problem) -> tuple[bool, tuple[Array, Array] | None]:

@@ -18,7 +18,7 @@ from ..inference.gauss_newton import solve
 from ..inference.problem import Problem
 from ..inference.reacquisition import named
 from ..inference.solution import Solution
-from ..inference.walk import find_initial_path, walk
+from ..inference.walk import find_initial_path, loses_encoder, walk
 from ..measurements.gather import start
 from ..measurements.timeline import timeline
 from ..noise import encoder_noise, typed
@@ -42,11 +42,15 @@ def ekf(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
 
 
 def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
-    problem, faults = gathered(features, body, settings)
-    problem, warm = tuned(problem, settings)
-    stepwise = at == "posterior" and problem.stepwise
-    solver = (lambda posed, _: walk(posed)) if stepwise else partial(solve, at=at)
-    problem, solution = settled(problem, warm, settings, solver, walk)
+    begun, faults = gathered(features, body, settings)
+
+    def solved(problem: Problem) -> tuple[Problem, Solution]:
+        problem, warm = tuned(problem, settings)
+        stepwise = at == "posterior" and problem.stepwise
+        solver = (lambda posed, _: walk(posed)) if stepwise else partial(solve, at=at)
+        return settled(problem, warm, settings, solver, walk)
+
+    problem, solution = kept(begun, solved)
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
     precision = problem.precision
     beliefs = Beliefs(
@@ -83,6 +87,14 @@ def gathered(features: Features, body: BodyModel, settings: Estimation) -> tuple
         problem = with_preferred_order(problem)
         problem = replace(problem, precision=typed.precision(problem.precision, settings, body.joints))
     return find_initial_path(problem), faults
+
+
+def kept(problem: Problem, solved: Callable[[Problem], tuple[Problem, S]]) -> tuple[Problem, S]:
+    """The problem as `solved`, and solved again with re-acquisition if the belief loses an encoder for long."""
+    found, solution = solved(problem)
+    if found.stepwise or not loses_encoder(found, solution):
+        return found, solution
+    return solved(find_initial_path(problem, lost=True))
 
 
 def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:

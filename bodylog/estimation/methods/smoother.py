@@ -16,7 +16,7 @@ from ..inference.folds import Fold, fold_for
 from ..inference.gauss_newton import far, initial_sweep
 from ..inference.initial_path import handed_over, starts
 from ..inference.knot_problem import full
-from ..inference.leave_one_out import LeftOut, free_energy, left_out, outliers, without
+from ..inference.leave_one_out import free_energy, left_out, outliers, without
 from ..inference.problem import Problem
 from ..inference.scan import Trace, rescan
 from ..inference.solution import Path, Smooth, Solution
@@ -24,7 +24,7 @@ from ..inference.tangents import Tangents
 from ..inference.walk import walk
 from ..noise.correlated_noise import WHOLE
 from . import results
-from .filtering import drifts, gathered, lost, settled, shown, tuned
+from .filtering import drifts, gathered, kept, lost, settled, shown, tuned
 from .results import Beliefs
 
 TURNS = 2
@@ -35,11 +35,16 @@ LASTING = 1e-6
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Smoothed belief at each output time, given the whole log."""
-    problem, faults = gathered(features, body, settings)
-    problem, warm = tuned(problem, settings)
-    solver = (lambda posed, _: once(posed)) if problem.stepwise else solve
-    problem, smooth = settled(problem, warm, settings, solver, once)
-    smooth, found = judged(problem, smooth)
+    begun, faults = gathered(features, body, settings)
+
+    def solved(problem: Problem) -> tuple[Problem, Smooth]:
+        problem, warm = tuned(problem, settings)
+        solver = (lambda posed, _: once(posed)) if problem.stepwise else solve
+        problem, smooth = settled(problem, warm, settings, solver, once)
+        return problem, judged(problem, smooth)
+
+    problem, smooth = kept(begun, solved)
+    found = left_out(problem, smooth)
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
     z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov)[:, :m, :m], problem.held)
     errors = np.full((*problem.timeline.t.shape, m), np.nan)
@@ -52,16 +57,16 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
 
 
-def judged(problem: Problem, smooth: Smooth) -> tuple[Smooth, LeftOut]:
+def judged(problem: Problem, smooth: Smooth) -> Smooth:
     """The smoothed log without outliers, which hindsight finds in place of the gate of the forward pass.
 
     An outlier that the filter believes makes it reject the next readings. Here outliers are the readings that all
     others contradict; they are found again until they stay the same. Otherwise the gated solution is kept.
     """
-    first = found = left_out(problem, smooth)
+    found = left_out(problem, smooth)
     removed = outliers(found)
     if problem.stepwise or not (found.gated or any(far.any() for far in removed)):
-        return smooth, first
+        return smooth
     for _ in range(SWEEPS):
         try:
             path = solve(without(problem, removed))
@@ -70,8 +75,8 @@ def judged(problem: Problem, smooth: Smooth) -> tuple[Smooth, LeftOut]:
         found, before = left_out(problem, path), removed
         removed = outliers(found)
         if all(map(np.array_equal, removed, before)):
-            return path, found
-    return smooth, first
+            return path
+    return smooth
 
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
