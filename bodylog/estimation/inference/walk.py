@@ -44,7 +44,7 @@ class Walked:
 def find_initial_path(problem: Problem, lost: bool = False) -> Problem:
     """Add resets, and a path to linearise along first where encoders do not give one, or the belief is `lost`."""
     line = problem.timeline.t
-    confirmed, resets = _begun(problem)
+    confirmed, resets = _confirmed_soon(problem)
     confirmed = confirmed and not lost
     if confirmed and not _quiet(problem, line[-1:]):
         return replace(problem, resets=resets)
@@ -67,7 +67,7 @@ def loses_encoder(problem: Problem, solution: Solution) -> bool:
     return bool(((d > gate) & (t - confirmed > SILENCE)).any())
 
 
-def _begun(problem: Problem) -> tuple[bool, tuple[Array, Array] | None]:
+def _confirmed_soon(problem: Problem) -> tuple[bool, tuple[Array, Array] | None]:
     """Whether each encoder soon confirms the belief that its first reading starts; and the resets until then."""
     encoders, line = problem.evidence.encoders, problem.timeline.t
     soon = np.zeros((0, 1)) if encoders is None else encoders.values[encoders.t <= line[0] + SILENCE]
