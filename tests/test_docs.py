@@ -34,7 +34,7 @@ def test_help_and_formats_page_name_every_method():
     (method,) = (option for option in bodylog.commands["estimate"].params if option.name == "method")
     assert set(method.type.choices) == set(METHODS)
     (faults,) = re.findall(r"^\| `/bodylog/faults`.*$", (ROOT / "docs" / "formats.md").read_text(), re.MULTILINE)
-    assert "`kalman` and `predictive-coding` report frozen, dead and jumping encoders, but no drift" in faults
+    assert "`kalman` and `predictive-coding` report frozen, dead and jumping encoders and glitches, but no drift" in faults
 
 
 def test_formats_page_lists_every_written_topic():
