@@ -34,7 +34,8 @@ def test_help_and_formats_page_name_every_method():
     (method,) = (option for option in bodylog.commands["estimate"].params if option.name == "method")
     assert set(method.type.choices) == set(METHODS)
     (faults,) = re.findall(r"^\| `/bodylog/faults`.*$", (ROOT / "docs" / "formats.md").read_text(), re.MULTILINE)
-    assert "`kalman` and `predictive-coding` report frozen, dead and jumping encoders and glitches, but no drift" in faults
+    methods = "`kalman` and `predictive-coding`"
+    assert f"{methods} report frozen, dead and jumping encoders and glitches, but no drift" in faults
 
 
 def test_formats_page_lists_every_written_topic():
