@@ -48,7 +48,8 @@ def compare(
     read, features = observe(log, settings, progress)
     cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
     same_size(log, learned, features, settings)
-    subsets, silent = choices.subsets(features, learned, settings.estimate)
+    with log_context(log, read.findings):
+        subsets, silent = choices.subsets(features, learned, settings.estimate)
     if not subsets:
         why = f"no sense of {body} has readings in it; type: bodylog info {log}"
         raise EvidenceError(f"{log}: {why}{loss_note(log, read.findings)}")

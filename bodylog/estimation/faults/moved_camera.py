@@ -126,8 +126,8 @@ def _displacements(rows: _Rows, chol: Array) -> list[Displacement]:
 def _best_displacement(rows: _Rows, chol: Array, others: list[Displacement]) -> Displacement:
     """The most likely displacement given the others, and the nats it wins."""
     left = replace(rows, r=_residuals(rows, others))
-    # a priori as large as an encoder's offset shows
-    wide = FAR * float(np.sqrt(np.square(rows.jac).mean()))
+    # a priori as large as an encoder's offset shows, or 1e-3 px if joints do not move the track
+    wide = max(FAR * float(np.sqrt(np.square(rows.jac).mean())), 1e-3)
     found = _best_step(left, chol, np.eye(2)[rows.output], wide)
     return replace(found, nats=_cost(left.r, chol) - found.nats)
 

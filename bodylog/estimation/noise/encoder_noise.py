@@ -26,6 +26,10 @@ TRIED = 45
 """Memories tried, four per octave; a parabola through the best of them is exact enough for the evidence."""
 FEWEST = 30
 """Readings of a joint that are too few to learn its noise."""
+BREAK = 10.0
+"""Robust standard deviations: a larger second difference is a false reading, where the filter restarts."""
+AROUND = 5
+"""Second differences on each side among which a false reading must stand out."""
 MEMORY = 1.0
 """s: longest memory of a filter for a joint at rest."""
 
@@ -176,8 +180,8 @@ def _alone(bend: Array) -> Array:
     moved = bend[bend > 0.0]
     # where most readings repeat, the others are typical
     typical = median(bend) if 2 * len(moved) > len(bend) else median(moved) if len(moved) else np.inf
-    found = bend > GATE * 1.4826 * typical
+    found = bend > BREAK * 1.4826 * typical
     at = np.flatnonzero(found)
-    # a false reading makes three of seven large, not their median
-    found[at] = bend[at] > GATE * np.median(np.pad(bend, 3)[at[:, None] + np.arange(7)], axis=1)
+    around = np.pad(bend, AROUND)[at[:, None] + np.arange(2 * AROUND + 1)]
+    found[at] = bend[at] > BREAK * np.median(around, axis=1)
     return np.asarray(found)
