@@ -78,7 +78,7 @@ def _with_way(way: Way, joint: int, near: list[int]) -> Problem:
 
 
 def _either(names: tuple[str, ...], joint: int, others: tuple[int, ...]) -> str:
-    """A faulty joint's name, with those of others that it cannot be told from."""
+    """A faulty joint's name, with those of others that the log cannot distinguish from it."""
     return " or ".join(names[j] for j in (joint, *others))
 
 

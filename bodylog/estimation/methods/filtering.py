@@ -42,7 +42,7 @@ def ekf(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
 
 
 def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
-    begun, faults = gathered(features, body, settings)
+    start_problem, faults = gathered(features, body, settings)
 
     def solved(problem: Problem) -> tuple[Problem, Solution]:
         problem, warm = tuned(problem, settings)
@@ -50,7 +50,7 @@ def _filtered(features: Features, body: BodyModel, settings: Estimation, method:
         solver = (lambda posed, _: walk(posed)) if stepwise else partial(solve, at=at)
         return settled(problem, warm, settings, solver, walk)
 
-    problem, solution = kept(begun, solved)
+    problem, solution = kept(start_problem, solved)
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
     precision = problem.precision
     beliefs = Beliefs(

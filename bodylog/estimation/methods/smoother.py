@@ -35,7 +35,7 @@ LASTING = 1e-6
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Smoothed belief at each output time, given the whole log."""
-    begun, faults = gathered(features, body, settings)
+    start_problem, faults = gathered(features, body, settings)
 
     def solved(problem: Problem) -> tuple[Problem, Smooth]:
         problem, warm = tuned(problem, settings)
@@ -43,7 +43,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         problem, smooth = settled(problem, warm, settings, solver, once)
         return problem, judged(problem, smooth)
 
-    problem, smooth = kept(begun, solved)
+    problem, smooth = kept(start_problem, solved)
     found = left_out(problem, smooth)
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
     z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov)[:, :m, :m], problem.held)
