@@ -78,7 +78,7 @@ def full(problem: "Problem", fold: Fold, held: Array | None = None) -> Readings:
     more, held = None if problem.more is None else fold.fold(problem.more, 1.0), problem.held if held is None else held
     parts = folded_readings(problem, fold, *encoder_rows(problem))
     found = Readings(*parts, reset=forgotten(problem, fold), more=more, gate=problem.gate)
-    if held is None or not held.any():
+    if held is None or problem.stationary is None or not held.any():
         return found
     dt = np.diff(problem.timeline.t, prepend=problem.timeline.t[0])
     move, shift, noise = (fold.fold(part, part[0]) for part in moves(problem.dynamics, dt, held))
