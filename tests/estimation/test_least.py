@@ -82,3 +82,13 @@ def test_given_variances_are_used_unchanged(world, white_acceleration):
     assert given.settings["stated"] == [1.0] * 3
     learned = estimate(drawn.features, drawn.body, Estimation(method="smoother"))
     assert 0.75 <= min(learned.settings["stated"]) <= max(learned.settings["stated"]) < 0.9
+
+
+@pytest.mark.parametrize(("count", "gap"), [(8, 5.0), (40, 1.0)])
+def test_poses_that_are_seconds_apart_are_smoothed(world, count, gap):
+    drawn = world(0, duration=2.0)
+    t = gap * np.arange(count)
+    poses = np.random.default_rng(0).uniform(-1.0, 1.0, (count, 3))
+    joints = replace(drawn.features.joints, t=t, values=poses, source_ns=(1e9 * t).astype(np.int64))
+    found = estimate(replace(drawn.features, joints=joints, tracks={}), drawn.body, Estimation(method="smoother"))
+    assert np.isfinite(found.cov).all() and found.joints.values.shape == (count, 3)

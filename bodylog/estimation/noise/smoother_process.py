@@ -86,6 +86,7 @@ def least(part: Problem, solved: tuple[KnotProblem, Solution]) -> tuple[Array, f
     beyond = 0.5 + over[last] / (over[last] - over[last + 1]) if last >= 0 else 0.0
     # the path's mean squared move per step at this factor, over V
     sway = (moves / np.sqrt(var[1:] * var[:-1])[:, present]).mean(axis=(1, 2))
+    sway = np.maximum(sway, np.finfo(float).tiny)  # 0 between poses that are far apart
     sway = np.exp(np.interp(max(last, 0) + beyond - 0.5, np.arange(len(sway)), np.log(sway)))
     stated = known.noise + np.interp(power, known.powers, known.left) * (sway - known.sway)
     factor = factors[max(last, 0)] * known.step**beyond
