@@ -1,5 +1,7 @@
 """A smoother's process variances: of least error, whatever moves the arm, and error bars that hold there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
