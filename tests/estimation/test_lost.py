@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.errors import UsageError
 from bodylog.estimation import estimate
-from bodylog.estimation.inference import gauss_newton
+from bodylog.estimation.inference import gauss_newton, instant
 from bodylog.estimation.methods import filtering, smoother
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Explored
@@ -248,3 +248,9 @@ def test_estimate_refuses_a_grid_of_mostly_silence(world):
     drawn = world(3, duration=8.0)
     with pytest.raises(UsageError, match=r"rate: 50 Hz found, 5e\+08 instants for .* stamps, none .*; type --rate"):
         estimate(paused(drawn.features, 4.0, 1e7), drawn.body, Estimation(rate=50.0))
+
+
+def test_belief_whose_rates_rounding_broke_is_refused():
+    broken = np.column_stack([np.diag([1.0, -1e-14]), np.zeros(2)])
+    with pytest.raises(np.linalg.LinAlgError, match="rates have the variance -1e-14"):
+        instant.statistical_lines(1, broken, [])

@@ -92,8 +92,12 @@ def statistical_lines(m: int, given: Array, sights: Sequence[PendingFrame]) -> t
     over the time between frames, as often; PERSISTENCE times more, as a wrong belief takes itself for a short one.
     """
     x, (var, axes) = given[:m, -1], np.linalg.eigh(given[:m, :m])
-    lasts = PERSISTENCE * math.sqrt(math.pi * var[-1] / (axes[:, -1] @ given[m : 2 * m, m : 2 * m] @ axes[:, -1]))
-    steps = np.sqrt(np.maximum(var, np.finfo(float).tiny))[:, None] * axes.T
+    rates, var = given[m : 2 * m, m : 2 * m], np.maximum(var, np.finfo(float).tiny)
+    if not np.trace(rates) > 0.0:
+        raise np.linalg.LinAlgError(f"rates have the variance {np.trace(rates):.3g} rad²/s²")
+    # above rounding, which a rate known exactly may take below 0
+    rate = max(axes[:, -1] @ rates @ axes[:, -1], np.finfo(float).eps * np.trace(rates))
+    lasts, steps = PERSISTENCE * math.sqrt(math.pi * var[-1] / rate), np.sqrt(var)[:, None] * axes.T
     often = [1.0 / math.tanh((sight.t - sight.memory.t) / lasts) for sight in sights]
     return x, [_line_of_belief(sight, x, steps, one) for sight, one in zip(sights, often, strict=True)]
 
