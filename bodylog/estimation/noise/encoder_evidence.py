@@ -11,6 +11,9 @@ import numpy as np
 from ...types import Array
 from ..inference.motion import carry, grow
 
+SKIP = 10
+"""Readings after a restart that do not count, for either order: a vague start costs white jerk more."""
+
 
 def evidence(
     dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2, known: Array | None = None
@@ -23,8 +26,7 @@ def evidence(
     """
     read, count = np.isfinite(y), np.arange(len(y))[:, None, None]
     fresh = np.asarray(fresh | (count == 0))
-    # a state of as many derivatives is known after as many readings
-    counts = np.asarray(read & (count - np.maximum.accumulate(np.where(fresh, count, 0)) >= order))
+    counts = np.asarray(read & (count - np.maximum.accumulate(np.where(fresh, count, 0)) >= SKIP))
     counts[: len(y) // 2, :, 1:] = False
     # readings with equal times and ratios have the same covariance, which is computed once
     first, which = _same_covariance(dt, read, fresh, ratios)
