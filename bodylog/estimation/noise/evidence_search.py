@@ -68,11 +68,7 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
         nats, solved = costs(part, solved, np.exp(candidates), names)
-        step = _step(nats, half)
-        part = replace(part, precision=_with(part, np.exp(logs + step), names))
-        # a path that no encoders give moves with the variances, and takes all rounds
-        if problem.path is None and np.abs(step).max() < 0.5 * half:
-            break
+        part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
     warm = replace(solved[1], knots=solved) if part.timeline is problem.timeline else None
     if whole:
         likeliest = _of_filter(problem, part, solved[1]).process
