@@ -18,22 +18,22 @@ DETECTORS: Mapping[str, Detector] = {
     "moved_camera": moved_camera.detect,
 }
 """In this order: each sees what the ones before it left."""
+OF_POSES: Mapping[str, Detector] = {name: DETECTORS[name] for name in ("out_of_range", "frozen_camera")}
+"""Those that do not compare consecutive readings."""
 
 
 def screened(
     features: Features, body: BodyModel, settings: Estimation, whole: bool = True, repairs: bool = True,
-    moving: bool = True,
+    detectors: Mapping[str, Detector] = DETECTORS,
 ) -> Evidence:  # fmt: skip
-    """Gather the measurements that the settings ask for and run all detectors; EvidenceError if a named sense is empty.
+    """Gather the measurements that the settings ask for and run the detectors; EvidenceError if a named sense is empty.
 
     `whole`: all frames of one touch count as one sighting. Without `repairs`, encoder faults are named, but the
-    readings stay as they were. Without `moving`, for still poses, no detector compares consecutive readings.
+    readings stay as they were.
     """
     gathered = gather(features, body, settings, whole)
     found = gathered
-    for name, detect in DETECTORS.items():
-        if not moving and name in ("encoders", "moved_camera"):
-            continue
+    for name, detect in detectors.items():
         verdict = detect(found, body)
         found = replace(
             verdict.evidence,
