@@ -76,6 +76,10 @@ def _jumping(fault: Fault, size: str, since: str, known: bool) -> str:
     return f"{fault.name}: encoder jumps{f' by {size}' * known} at {fault.since:.1f} s"
 
 
+def _glitch(fault: Fault, size: str, since: str, known: bool) -> str:
+    return f"{fault.name}: encoder is off by {size} for a moment at {fault.since:.1f} s"
+
+
 def _other(fault: Fault, size: str, since: str, known: bool) -> str:
     return f"{fault.name}: {fault.kind} ({fault.sense}) {since}{f', {size}' * known}"
 
@@ -84,7 +88,7 @@ _WORDS: Mapping[tuple[str, str], Callable[[Fault, str, str, bool], str]] = {
     ("encoders", "drifting"): _drifting,
     ("encoders", "offset"): lambda f, size, since, known: f"{f.name}: encoder is off{f' by {size}' * known} {since}",
     ("encoders", "jumping"): _jumping,
-    ("encoders", "glitch"): lambda f, size, since, known: f"{f.name}: encoder is off by {size} for a moment {since}",
+    ("encoders", "glitch"): _glitch,
     ("encoders", "frozen"): lambda f, size, since, known: f"{f.name}: encoder is frozen {since}",
     ("encoders", "dead"): lambda f, size, since, known: f"{f.name}: encoder is silent {since}",
     ("vision", "frozen"): lambda f, size, since, known: f"{f.name}: its images are frozen {since}",
