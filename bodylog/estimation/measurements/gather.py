@@ -123,7 +123,7 @@ def _words(found: Health) -> str:
 
 
 def start(evidence: Evidence, settings: Estimation, names: tuple[str, ...]) -> Array:
-    """Initial mean (M,) rad: as set, or each joint's first finite reading, used or not."""
+    """Initial mean (M,) rad: as set, or each joint's first sound reading, else its first one, used or not."""
     if settings.start is not None:
         if len(settings.start) != len(names):
             raise UsageError(f"start: {len(settings.start)} angles given, the body has {len(names)} joints")
@@ -134,4 +134,6 @@ def start(evidence: Evidence, settings: Estimation, names: tuple[str, ...]) -> A
             f"joints: no reading of {', '.join(unknown)}; type in robot.toml [estimate] start = "
             f"[{', '.join(['0.0'] * len(names))}], the angles in rad of {', '.join(names)}"
         )
-    return np.asarray(evidence.read[known.argmax(axis=0), np.arange(len(names))])
+    sound = evidence.read if evidence.encoders is None else evidence.encoders.values
+    readings = np.where(np.isfinite(sound).any(axis=0), sound, evidence.read)
+    return np.asarray(readings[np.isfinite(readings).argmax(axis=0), np.arange(len(names))])
