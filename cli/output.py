@@ -197,9 +197,7 @@ def progress(
         yield lambda frames: bar.advance(task, frames)
 
 
-def _total(
-    logs: Sequence[Any], settings: "Settings | None", unit: str, count: "Callable[[Any], int] | None"
-) -> int:
+def _total(logs: Sequence[Any], settings: "Settings | None", unit: str, count: "Callable[[Any], int] | None") -> int:
     """What `count` gives, or messages of all topics, or images of the cameras; 0 where a log cannot be read."""
     from bodylog.errors import BodylogError
     from bodylog.info import info

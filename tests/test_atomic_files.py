@@ -269,9 +269,7 @@ def test_sweep_removes_everything_temporary(tmp_path):
     (errno.ENOSPC, WriteError), (errno.EDQUOT, WriteError), (errno.EFBIG, WriteError), (errno.EIO, WriteError),
     (errno.EROFS, OutputError), (errno.EACCES, OutputError),
 ])  # fmt: skip
-def test_replacing_distinguishes_write_errors_from_output_errors(
-    tmp_path, monkeypatch, number, kind
-):
+def test_replacing_distinguishes_write_errors_from_output_errors(tmp_path, monkeypatch, number, kind):
     def fail(source, _):
         raise OSError(number, os.strerror(number), os.fspath(source))
 

@@ -25,7 +25,7 @@ _OLD_LOCK = ".lock"
 _OLD = {_OLD_LOCK, ROW, *OUTPUTS}
 _BEGIN = {
     "results.jsonl": b'{"error": ',
-    "junit.xml": b"<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites name=\"bodylog\"",
+    "junit.xml": b'<?xml version="1.0" encoding="UTF-8"?>\n<testsuites name="bodylog"',
     "summary.html": b'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>bodylog batch</title>',
 }
 """First bytes of the files that earlier versions left in unmarked folders."""

@@ -67,8 +67,10 @@ def _tracks(
 ) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...], tuple[int, int] | None]:
     """Tracks, health and findings of all cameras, and the first one's image width and height (px) if known."""
     if recording.frames is None:
-        text = "camera: none in this log; no tracks but those that topics and tables have" if recording.tracks else (
-            "camera: none in this log; no tracks, no strokes"
+        text = (
+            "camera: none in this log; no tracks but those that topics and tables have"
+            if recording.tracks
+            else ("camera: none in this log; no tracks, no strokes")
         )
         return {}, {}, (Finding("info", text),), None
     features, consumed = wanted(settings), recording.consumed

@@ -34,7 +34,7 @@ ALWAYS: Window = (-np.inf, np.inf)
 def ingest(
     path: Path, out: Path, settings: Settings, start: float | None = None, end: float | None = None,
     progress: Progress | None = None,
-) -> tuple[Finding, ...]:
+) -> tuple[Finding, ...]:  # fmt: skip
     """Write an MCAP `out` of the log's signals and images from `start` to `end` (s since its first joints).
 
     LogError when the log has neither signals nor images there, UsageError when `out` is also the input.

@@ -349,11 +349,5 @@ def zipped(draw: Draw, path: Path) -> list[Channel]:
 
 
 Writer = Callable[[Draw, Path], list[Channel]]
-WRITERS: dict[str, Writer] = {
-    "log.mcap": mcap,
-    "log.bag": bag,
-    "log.db3": db3,
-    "log": folder,
-    "log.mcap.zst": zipped,
-}
+WRITERS: dict[str, Writer] = {"log.mcap": mcap, "log.bag": bag, "log.db3": db3, "log": folder, "log.mcap.zst": zipped}
 """Name of the file -> who writes it."""

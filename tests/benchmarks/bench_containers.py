@@ -203,9 +203,7 @@ def _compare(title: str, path: Path, floor: bool, least: float | None = None) ->
     _versus(title, path, {**({"unpacking and CRC alone": unpack_only} if floor else {}), **others}, least)
 
 
-def _versus(
-    title: str, path: Path, others: dict[str, Callable[[Path], int]], least: float | None = None
-) -> None:
+def _versus(title: str, path: Path, others: dict[str, Callable[[Path], int]], least: float | None = None) -> None:
     cases = {"bodylog in batches": in_batches, "bodylog by message": by_message, **others}
     assert {case(path) for case in cases.values() if case is not unpack_only} == {MESSAGES}
     runs = {label: (lambda case=case: case(path)) for label, case in cases.items()}

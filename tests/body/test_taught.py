@@ -111,4 +111,3 @@ def test_learn_refuses_a_table_of_few_poses(tmp_path, run_cli, capsys):
     text = capsys.readouterr().err
     assert "tip: only 5 sightings with joint readings, 8 are needed" in text and "seen in 5 of 5 images" in text
     assert not (tmp_path / "body.npz").exists()
-

@@ -132,9 +132,7 @@ def test_encoders_of_fewer_positions_than_names_are_refused_with_why(tmp_path, c
 
 @PLACES
 @pytest.mark.parametrize("sense", ["vision", "touch"])
-def test_estimate_refuses_a_named_sense_without_observations(
-    tmp_path, capsys, run_cli, arm_body, made, log, sense
-):
+def test_estimate_refuses_a_named_sense_without_observations(tmp_path, capsys, run_cli, arm_body, made, log, sense):
     blind = made(log, _nothing, kept=lambda topic: "image" not in topic)
     printed = _refused(capsys, run_cli, blind, arm_body, tmp_path / "out.mcap", "--with", f"encoders,{sense}")
     assert sense in printed

@@ -49,7 +49,7 @@ def test_output_options_have_an_output_type():
                 wrong.append((command.name, param.opts))
     assert not wrong, wrong
     assert {command.name for command, *_ in PAIRS} >= {
-        *("ingest", "doctor", "colours", "extract", "fit", "estimate", "plot", "report", "layout", "view", "batch"),
+        *("ingest", "doctor", "colours", "extract", "fit", "estimate", "plot", "report", "layout", "view", "batch")
     }
 
 
@@ -201,9 +201,7 @@ def test_outputs_of_one_path_are_refused(tmp_path, capsys, run_cli, robot):
 
 
 @pytest.mark.parametrize("place", ["folder", "folder/", "pipe", "no/out.mcap", "out.mcap/", "loop", "/dev/full", "."])
-def test_unwritable_output_is_refused_before_reading(
-    tmp_path, capsys, run_cli, monkeypatch, place
-):
+def test_unwritable_output_is_refused_before_reading(tmp_path, capsys, run_cli, monkeypatch, place):
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "loop").symlink_to("loop")

@@ -162,9 +162,9 @@ def _start(corners: Array, points: Array, lens: Array) -> tuple[Array, Array]:
     """Position (3,) m and rotation (3,3) from the homography of the tag's plane, without distortion."""
     focal = np.exp(lens[0]) * np.array([1.0, np.exp(lens[1])])
     flat, plane = (corners - lens[2:4]) / focal, points[:, :2]
-    rows = [
-        [x, y, 1.0, 0.0, 0.0, 0.0, -a * x, -a * y, -a] for (x, y), (a, _) in zip(plane, flat, strict=True)
-    ] + [[0.0, 0.0, 0.0, x, y, 1.0, -b * x, -b * y, -b] for (x, y), (_, b) in zip(plane, flat, strict=True)]
+    rows = [[x, y, 1.0, 0.0, 0.0, 0.0, -a * x, -a * y, -a] for (x, y), (a, _) in zip(plane, flat, strict=True)] + [
+        [0.0, 0.0, 0.0, x, y, 1.0, -b * x, -b * y, -b] for (x, y), (_, b) in zip(plane, flat, strict=True)
+    ]
     homography = np.linalg.svd(np.array(rows))[2][-1].reshape(3, 3)
     homography = homography / (0.5 * np.linalg.norm(homography[:, :2], axis=0).sum())
     homography = homography * np.sign(homography[2, 2])

@@ -9,10 +9,7 @@ from bodylog.kinematics.robot import Limits
 from bodylog.types import Series
 
 NAMES = ("pan", "lift", "elbow", "grip")
-LIMITS = {
-    **dict.fromkeys(NAMES[:3], Limits(-2.0, 2.0, 0.005, "rad")),
-    "grip": Limits(0.0, 0.04, 0.0005, "m"),
-}
+LIMITS = {**dict.fromkeys(NAMES[:3], Limits(-2.0, 2.0, 0.005, "rad")), "grip": Limits(0.0, 0.04, 0.0005, "m")}
 
 
 @pytest.fixture

@@ -19,9 +19,7 @@ def spoilt(features, frame=None, reading=None, add=np.nan):
         places[frame] += add
     if reading is not None:
         angles[reading] += add
-    return replace(
-        features, joints=replace(joints, values=angles), tracks={"effector": replace(track, values=places)}
-    )
+    return replace(features, joints=replace(joints, values=angles), tracks={"effector": replace(track, values=places)})
 
 
 @pytest.mark.parametrize("seed", range(2))

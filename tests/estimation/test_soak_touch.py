@@ -15,10 +15,7 @@ ELSEWHERE = 1000
 UR5 = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 SHIFT = 0.1
 FELT = Estimation(without=("encoders", "vision"))
-FORMS = {
-    "likelihood": FELT,
-    "literal": replace(FELT, method="predictive-coding", precision="fixed", touch="literal"),
-}
+FORMS = {"likelihood": FELT, "literal": replace(FELT, method="predictive-coding", precision="fixed", touch="literal")}
 FAINT = 0.001
 """px: lower bound on drift."""
 pytestmark = pytest.mark.soak

@@ -1,6 +1,5 @@
 """Definitions as recorders write them, and broken ones."""
 
-
 import pytest
 from rosbags.typesys import Stores, get_typestore
 

@@ -15,11 +15,7 @@ from bodylog.settings import Body, Kinematics, Settings
 from tests.body.test_kinematic import OFFSETS, features
 from tests.kinematics.robots import ARM, JOINTS, angles
 
-READ = {
-    "rad": lambda q: q,
-    "deg": np.degrees,
-    "4096 counts from 2048": lambda q: 2048 + q * 4096 / (2 * np.pi),
-}
+READ = {"rad": lambda q: q, "deg": np.degrees, "4096 counts from 2048": lambda q: 2048 + q * 4096 / (2 * np.pi)}
 
 
 def test_counts_parses_turn_and_zero():
@@ -37,7 +33,7 @@ def test_settings_accept_counts_and_list_choices(tmp_path):
     path.write_text('[body]\nunit = "4096 counts from 2048"\n')
     assert load(path, {}).body.unit == "4096 counts from 2048"
     path.write_text('[body]\nunit = "4096 ticks"\n')
-    with pytest.raises(ConfigError, match="possible: rad, deg, or counts of one turn: \"4096 counts\""):
+    with pytest.raises(ConfigError, match='possible: rad, deg, or counts of one turn: "4096 counts"'):
         load(path, {})
 
 

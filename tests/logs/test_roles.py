@@ -130,7 +130,7 @@ def test_roles_refuse_a_topic_without_numbers():
 
 
 def test_advice_is_toml_of_the_same_roles():
-    described = [("/joint_states", JOINTS), ("/cam \"1\"", IMAGE), ("/skin", FLOATS)]
+    described = [("/joint_states", JOINTS), ('/cam "1"', IMAGE), ("/skin", FLOATS)]
     found = roles(topics(*described), Topics(), "x.mcap")
     declared = tomllib.loads(advice(found))["topics"]
     assert declared == {"joints": "/joint_states", "camera": '/cam "1"', "skin": "/skin.data"}

@@ -1,6 +1,6 @@
 """Make the tables of figures in docs/, each by the script of its name, and write them between their markers.
 
-    python -m tests.validation [NAMES] [--print]      all tables, or those named; --print leaves the pages alone
+python -m tests.validation [NAMES] [--print]      all tables, or those named; --print leaves the pages alone
 """
 
 import argparse

@@ -71,8 +71,7 @@ def unwrapped(y: Array) -> Array:
 
 
 def _hold_time(steps: Array, t: Array) -> float:
-    """Time (s), at most 0.1, for which the driver holds a reading, from steps (N-1,) rad at t (N,) s; 0 if it does not.
-    """
+    """Time (s), at most 0.1, for which the driver holds a reading, from steps (N-1,) rad at t (N,) s, or 0."""
     sizes = np.abs(steps)
     if 2 * np.count_nonzero(steps) > len(steps):
         return 0.0

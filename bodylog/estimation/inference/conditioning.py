@@ -188,9 +188,7 @@ def _project(h: Array, belief: Array) -> tuple[Array, Array]:
     return projected, np.einsum("emc,dmc->dec", h, projected[:, :m])
 
 
-def _gated(
-    gate: float, projected: Array, s: Array, y: Array, var: Array, present: Array
-) -> tuple[Array, Array]:  # fmt: skip
+def _gated(gate: float, projected: Array, s: Array, y: Array, var: Array, present: Array) -> tuple[Array, Array]:
     """Gated variances (D,C) and `outlier_cost` (C,) of a track; projected (D,K+1,C) and s (D,D,C) are by the prior."""
     total, nu = np.einsum("ddc->dc", s) + var, (y - projected[:, -1]) * present
     d2, size = mahalanobis(nu, total, s)
@@ -215,9 +213,7 @@ def mahalanobis(nu: Array, total: Array, s: Array) -> tuple[Array, Array]:
     return square, size
 
 
-def _gated_encoders(
-    y: Array, var: Array, gate: float, dynamics: "Dynamics", belief: Array
-) -> tuple[Array, Array]:  # fmt: skip
+def _gated_encoders(y: Array, var: Array, gate: float, dynamics: "Dynamics", belief: Array) -> tuple[Array, Array]:
     """Gated encoder variances (M,C), and innovations of y (M,C) in standard deviations, NaN if silent."""
     m, diagonal, offset = len(y), np.einsum("iic->ic", belief[:, :-1]), dynamics.offset
     total, nu = diagonal[:m] + var, y - belief[:m, -1]

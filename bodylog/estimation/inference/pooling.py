@@ -137,9 +137,7 @@ def moves(dynamics: Dynamics, dt: Array, held: Array) -> tuple[Array, Array, Arr
     return move, shift, noise
 
 
-def _condition(
-    move: Array, shift: Array, noise: Array, information: Array, nats: Array, y: Array, var: Array
-) -> None:
+def _condition(move: Array, shift: Array, noise: Array, information: Array, nats: Array, y: Array, var: Array) -> None:
     """Add one reading (M,1,B) to each element, in place; information: J and η of the first states (O,O+1,M,G,B).
 
     An offset has the row of the angle in J and η.

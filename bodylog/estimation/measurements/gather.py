@@ -15,10 +15,7 @@ from .records import Encoders, Evidence
 from .touch import Touch
 from .track import Track, ascending, gap
 
-SENSES: Mapping[str, Sense] = {
-    "track": Track(),
-    "touch": Touch(),
-}
+SENSES: Mapping[str, Sense] = {"track": Track(), "touch": Touch()}
 """Senses other than encoders, in the order of gathering."""
 
 

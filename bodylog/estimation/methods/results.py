@@ -82,4 +82,3 @@ def sight(sighting: Sighting, place: tuple[Array, Array, Array], scale: float) -
     errors = Series(sighting.t[seen], error, names, "std", sighting.source_ns[seen])
     unit = getattr(sighting.model, "unit", "px")
     return errors, Series(sighting.t, mean, names, unit, sighting.source_ns, std), cov
-

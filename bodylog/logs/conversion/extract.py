@@ -17,7 +17,7 @@ from .transcode import Span, carry
 def convert(
     path: Path, out: Path, topics: Sequence[str] | None = None, start: float | None = None, end: float | None = None,
     progress: Progress | None = None,
-) -> tuple[Finding, ...]:
+) -> tuple[Finding, ...]:  # fmt: skip
     """Write a log's messages to the MCAP `out`; ROS 1 payloads become CDR, all else stays unchanged.
 
     topics: only these · start, end: only messages logged between them, s since the log's first message. UsageError for

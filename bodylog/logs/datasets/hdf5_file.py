@@ -48,7 +48,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 def _demos(file: Any) -> tuple[int, ...]:
     data = _member(file, "data")
-    names = list(data.keys())[: 1_000_000] if data is not None and hasattr(data, "keys") else []
+    names = list(data.keys())[:1_000_000] if data is not None and hasattr(data, "keys") else []
     return tuple(sorted(int(match[1]) for name in names if (match := _DEMO.fullmatch(name))))
 
 

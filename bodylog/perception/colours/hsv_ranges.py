@@ -93,7 +93,7 @@ def _by_name(colour: str, key: str) -> Range:
     if colour not in _NAMED:
         raise ConfigError(
             f"colours.{key}: found '{colour}'; possible: {', '.join(_NAMED)}, or low and high in HSV; "
-            f"type: {key} = \"{_closest(colour)}\""
+            f'type: {key} = "{_closest(colour)}"'
         )
     low, high = _NAMED[colour]
     return between((low, SATURATION, VALUE), (high, 255, 255))

@@ -23,7 +23,12 @@ _CHANGE = 0.05
 _NEAR = 0.5
 
 HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY, FOREIGN = (
-    "hidden", "at the border", "two candidates", "wrong size", "too far away", "partly hidden",
+    "hidden",
+    "at the border",
+    "two candidates",
+    "wrong size",
+    "too far away",
+    "partly hidden",
     "not where the joints put it",
 )
 
