@@ -62,3 +62,25 @@ def test_learn_omits_a_gripper_beside_a_nearly_noiseless_track():
     found = Features(read.joints, {"effector": track}, None, (), (), {}, beside=read.beside)
     kept, text = select_joints([found], [j for j in joints([found], None) if moves(j)], Settings().fit)
     assert len(kept) == 6 and {f.text.split(":")[0] for f in text} == {"left_finger_joint", "right_finger_joint"}
+
+
+@pytest.mark.parametrize("further", [True, False])
+def test_learn_omits_a_wheel_that_turns_all_the_time(explored, further):
+    """A wheel is a clock: it explains a track between neighbours in time, and nothing of held-out time."""
+    alone = explored(1, 0.002, 20.0).features
+    old = alone.joints
+    wheel = 3.0 * old.t + 0.1 * np.sin(old.t)
+    one_topic = replace(old, values=np.column_stack([old.values, wheel]), names=(*old.names, "wheel"))
+    both = _beside(alone, wheel, "wheel") if further else replace(alone, joints=one_topic)
+    learned = body.learn([both], Settings(), {})
+    assert set(learned.model.joints) == {"pan", "lift", "elbow"}
+    (left,) = (f for f in learned.findings if f.text.startswith("wheel"))
+    assert left.severity == ("info" if further else "warning") and "[body] joints" in left.text
+
+
+def test_learn_includes_a_turntable_that_turns_more_than_once(explored):
+    alone = explored(1, 0.002, 20.0).features
+    old = alone.joints
+    turned = np.where(np.arange(len(old.names)) == old.names.index("pan"), 4.0, 1.0)
+    wide = body.learn([replace(alone, joints=replace(old, values=old.values * turned))], Settings(), {})
+    assert wide.model.joints == ("pan", "lift", "elbow")

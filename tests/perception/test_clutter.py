@@ -110,3 +110,13 @@ def test_ball_is_found_among_clutter_of_its_colour(worlds: Path, name: str) -> N
     assert track.std is not None
     stated, true = (np.sqrt(np.nanmean(np.square(each[seen]), axis=0)) for each in (track.std, track.values - uv))
     assert (stated / true > 0.5).all() and (stated / true < 1.5).all()
+
+
+def test_wheels_do_not_hide_that_a_thing_moves_with_the_arm():
+    t = np.arange(0, 25, 0.1)
+    arm = np.column_stack([0.5 * np.sin(0.9 * t), 0.4 * np.sin(1.3 * t + 1), 0.4 * np.sin(0.6 * t + 2)])
+    wheels = np.column_stack([3.0 * t, 3.1 * t])
+    y = np.column_stack([320 + 150 * np.sin(arm[:, 0] + arm[:, 1]), 240 + 150 * np.cos(arm[:, 2] - arm[:, 1])])
+    names = ("a", "b", "c", "left", "right")
+    joints = Series(t, np.column_stack([arm, wheels]), names, "rad", (t * 1e9).astype(np.int64))
+    assert joint_motion.explained_share(joint_motion.angles(joints, t), y, 640) > 0.8

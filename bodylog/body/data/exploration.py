@@ -5,42 +5,76 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...settings import Fit
-from ...types import Features, Finding
+from ...types import Array, Features, Finding
 from ..exploration_report import influence
 from ..gp.cross_validation import residuals
-from ..gp.fit import Samples, assemble, fitted
+from ..gp.fit import Fitted, Samples, assemble, fitted
 from ..gp.marginal_likelihood import ROTATION
 from .pairs import Joint, Pairs, pairs
 from .subsampling import farthest
+from .trainable import SURE, log_ratio
 
 SAMPLES, FEWEST = 200, 8
 """Sightings that suffice to see whether a joint moves a track, and the fewest that are judged."""
+TURN = 2 * np.pi
+"""rad: no posture of an arm needs more."""
 
 
 def select_joints(features: Sequence[Features], chosen: Sequence[Joint], fit: Fit) -> tuple[list[Joint], list[Finding]]:
-    """Drop joints of further topics that move no track by more than the model's residual.
+    """Drop joints of further topics unless a track shows their motion, and wheels if they surely do harm.
 
-    A gripper's fingers on a topic of their own, for example, do not move the arm's marker.
+    A gripper's fingers on a topic of their own, for example, do not move the arm's marker. A wheel that turns steadily
+    serves as a clock: it explains any track between its neighbours in time, and misleads in held-out time.
     """
     beside = {name for found in features for name in found.beside}
-    if not any(joint.name in beside for joint in chosen):
+    doubtful = [k for k, joint in enumerate(chosen) if joint.name in beside or joint.range > TURN]
+    if not doubtful:
         return list(chosen), []
-    seen = set[str]()
-    for track in sorted({name for found in features for name in found.tracks if name != "hand"}):
-        part = pairs(features, track, chosen, fit.every)
-        if len(part.x) >= FEWEST and part.y.std(axis=0).all():
-            seen |= _moving(part, chosen, fit)
-    kept = [joint for joint in chosen if joint.name not in beside or joint.name in seen]
-    left = [joint for joint in chosen if joint not in kept]
+    parts = _parts(features, chosen, fit)
+    effects = np.max([_effects(part, fit) for part in parts], axis=0) if parts else np.zeros(len(chosen))
+    known = [k for k in range(len(chosen)) if k not in doubtful]
+    for k in sorted(doubtful, key=lambda k: -effects[k]):
+        extra = chosen[k].name in beside
+        if (effects[k] > 1.0 or not extra) and any(
+            _helps(part, known, k, fit, SURE if extra else -SURE) for part in parts
+        ):
+            known.append(k)
+    return [chosen[k] for k in sorted(known)], [
+        _left_out(joint, joint.name in beside) for k, joint in enumerate(chosen) if k not in known
+    ]
+
+
+def _left_out(joint: Joint, extra: bool) -> Finding:
     text = "no track shows its motion; to include it, name it in [body] joints"
-    return kept, [Finding("info", f"{j.name}: moved {j.range:.3f}, left out: {text}") for j in left]
+    return Finding("info" if extra else "warning", f"{joint.name}: moved {joint.range:.3f}, left out: {text}")
 
 
-def _moving(part: Pairs, chosen: Sequence[Joint], fit: Fit) -> set[str]:
-    """Joints whose own motion moves a track by more than the leave-one-out residual."""
-    part = part.rows(farthest(part.x, SAMPLES))
-    data = Samples(part.x, part.y, part.floor, part.variance)
-    kernels = fitted(data, ROTATION, True, fit.seed)
-    gp = assemble(data, kernels, ("u", "v"), "px")
-    least = float(np.sqrt(np.mean(residuals(data, kernels, np.arange(len(data.x)))[0] ** 2)))
-    return {joint.name for joint, size in zip(chosen, influence(gp), strict=True) if size > least}
+def _parts(features: Sequence[Features], chosen: Sequence[Joint], fit: Fit) -> list[Pairs]:
+    """Some sightings of each track that moves."""
+    tracks = sorted({name for found in features for name in found.tracks if name != "hand"})
+    parts = [pairs(features, track, chosen, fit.every) for track in tracks]
+    moved = [part for part in parts if len(part.x) >= FEWEST and part.y.std(axis=0).all()]
+    return [part.rows(farthest(part.x, SAMPLES)) for part in moved]
+
+
+def _effects(part: Pairs, fit: Fit) -> Array:
+    """How far each joint's own motion (M,) moves a track, over the model's leave-one-out residual."""
+    data, kernels = _fitted(part, range(part.x.shape[1]), fit)
+    residual = float(np.sqrt(np.mean(residuals(data, kernels, np.arange(len(data.x)))[0] ** 2)))
+    return np.array(influence(assemble(data, kernels, ("u", "v"), "px"))) / residual
+
+
+def _helps(part: Pairs, known: Sequence[int], more: int, fit: Fit, sure: float) -> bool:
+    """Whether one more joint lowers a track's error in held-out blocks of time by `sure` standard errors."""
+    if not known:
+        return True
+    own, other = (residuals(*_fitted(part, of, fit), part.block)[0] for of in ([*known, more], known))
+    mean, error = log_ratio(own, other, part.block)
+    return mean + sure * error < 0.0
+
+
+def _fitted(part: Pairs, columns: Sequence[int], fit: Fit) -> tuple[Samples, Fitted]:
+    """Samples of some joints (columns of part.x), and the Gaussian process learned from them."""
+    of = list(columns)
+    data = Samples(part.x[:, of], part.y, part.floor, part.variance[:, of])
+    return data, fitted(data, ROTATION, True, fit.seed)

@@ -31,9 +31,8 @@ def unfit(part: Pairs, chosen: Sequence[Joint]) -> str | None:
 
 def unexplained(found: Sense) -> str | None:
     """Why a learned track is not kept: its held-out predictions are no better than a constant."""
-    logs = np.array([_ratio(found.residual[rows], found.constant[rows]) for rows in _blocks(found.used.block)])
-    spread = float(logs.std(ddof=1) / np.sqrt(len(logs))) if len(logs) > 1 else np.inf
-    if float(logs.mean()) + SURE * spread < 0.0 and float(logs.mean()) < np.log(BETTER):
+    mean, error = log_ratio(found.residual, found.constant, found.used.block)
+    if mean + SURE * error < 0.0 and mean < np.log(BETTER):
         return None
     own, constant = (float(np.median(np.linalg.norm(r, axis=1))) for r in (found.residual, found.constant))
     return (
@@ -48,8 +47,11 @@ def explained(found: Sense) -> float:
     return 1.0 - own / constant if constant > 0.0 else 0.0
 
 
-def _blocks(block: Array) -> list[Array]:
-    return [np.flatnonzero(block == label) for label in np.unique(block)]
+def log_ratio(own: Array, other: Array, block: Array) -> tuple[float, float]:
+    """Mean over blocks of time of the log ratio of two models' median errors (n,2) px, and its standard error."""
+    blocks = [np.flatnonzero(block == label) for label in np.unique(block)]
+    logs = np.array([_ratio(own[rows], other[rows]) for rows in blocks])
+    return float(logs.mean()), float(logs.std(ddof=1) / np.sqrt(len(logs))) if len(logs) > 1 else np.inf
 
 
 def _ratio(own: Array, constant: Array) -> float:

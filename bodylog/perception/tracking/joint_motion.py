@@ -49,12 +49,18 @@ class Regression:
 
 
 def angles(joints: Series | None, t: Array, delay: float = 0.0) -> Array:
-    """Angles (N,M) rad of the joints that move, `delay` s before t (N,); M is 0 where no joint moves."""
+    """Postures (N,M) rad of the joints that move, `delay` s before t (N,); M is 0 where no joint moves."""
     if joints is None or len(t) < 2:
         return np.zeros((len(t), 0))
     readings = [(joints.t[there], column[there]) for column in joints.values.T if (there := np.isfinite(column)).any()]
     columns = [np.interp(t - delay, at, angle) for at, angle in readings]
-    return np.array([column - column.mean() for column in columns if _moves(column)]).reshape(-1, len(t)).T
+    moving = [part for column in columns if _moves(column) for part in _postures(column)]
+    return np.array(moving).reshape(-1, len(t)).T
+
+
+def _postures(angle: Array) -> list[Array]:
+    """Columns (n,) in which like postures are near: an angle from its mean, or a wheel's place on the unit circle."""
+    return [angle - angle.mean()] if np.ptp(angle) <= 2 * np.pi else [np.cos(angle), np.sin(angle)]
 
 
 def _moves(angle: Array) -> bool:
