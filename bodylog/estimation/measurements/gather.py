@@ -131,6 +131,6 @@ def start(evidence: Evidence, settings: Estimation, names: tuple[str, ...]) -> A
             f"joints: no reading of {', '.join(unknown)}; type in robot.toml [estimate] start = "
             f"[{', '.join(['0.0'] * len(names))}], the angles in rad of {', '.join(names)}"
         )
-    sound = evidence.read if evidence.encoders is None else evidence.encoders.values
-    readings = np.where(np.isfinite(sound).any(axis=0), sound, evidence.read)
+    sound = evidence.read[:0] if evidence.encoders is None else evidence.encoders.values
+    readings: Array = np.concatenate([sound, evidence.read])
     return np.asarray(readings[np.isfinite(readings).argmax(axis=0), np.arange(len(names))])
