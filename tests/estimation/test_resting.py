@@ -10,6 +10,7 @@ from bodylog.estimation import METHODS, estimate
 from bodylog.estimation.faults.repeats import frozen
 from bodylog.estimation.methods.finite import finite
 from bodylog.settings import Estimation
+from tests.estimation import conftest as worlds
 from tests.estimation.resting import Drawn, drawn, judged
 from tests.seeds import seeds
 
@@ -59,6 +60,28 @@ def test_estimate_follows_a_joint_after_a_long_rest(method):
     found = estimate(world.features, world.body, Estimation(method=method, senses=("encoders",)))
     truth = np.stack([np.interp(found.joints.t, world.truth.t, column) for column in world.truth.values.T], axis=1)
     assert np.abs(found.joints.values - truth).max() < 1e-3
+
+
+def ramped(t, rng, speed):
+    """Moves from rest to rest: speed (rad/s) rises and falls evenly, within a tenth of a second."""
+    x = np.tile(np.array([-0.9, -0.9, 1.0]), (len(t), 1))
+    for begin in np.arange(2.0, 18.0, 4.0) + rng.uniform(0.0, 2.0, 4):
+        lasting, rise = rng.uniform(0.2, 0.4), rng.uniform(0.05, 0.1)
+        level, sloped = (np.square(np.clip(t - begin - late, 0.0, lasting)) / 2.0 for late in (0.0, rise))
+        beyond = np.maximum(t - begin - lasting, 0.0) - np.maximum(t - begin - rise - lasting, 0.0)
+        x += np.outer((level - sloped + lasting * beyond) / rise, rng.uniform(-2.5, 2.5, 3) * speed)
+    return x
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("seed", seeds(4, 12))
+def test_estimate_follows_joints_that_start_and_stop_within_a_few_readings(world, monkeypatch, method, seed):
+    """Their first and last bends stand alone, as those of false readings do."""
+    monkeypatch.setattr(worlds, "motion", ramped)
+    drawn = world(seed, encoder_hz=30.0, encoder_std=1e-3, speed=1.0)
+    found = estimate(drawn.features, drawn.body, Estimation(method=method, senses=("encoders",)))
+    error, nees = judged(drawn, found.joints, found.cov)
+    assert error < 1.05e-3 and 0.3 < nees < 3.0
 
 
 @pytest.mark.parametrize(

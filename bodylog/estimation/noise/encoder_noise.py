@@ -169,7 +169,10 @@ def _side_by_side(series: list[tuple[Array, Array, Array]]) -> tuple[Array, Arra
 
 def _breaks(t: Array, y: Array) -> Array:
     """Readings (N,) that cannot follow from their neighbours, where the filter restarts."""
-    alone, fresh = _alone(np.abs(np.diff(y, 2))), np.zeros(len(y), bool)
+    steps, fresh = np.diff(y), np.zeros(len(y), bool)
+    alone = _alone(np.abs(np.diff(steps)))
+    at = np.flatnonzero(alone)
+    alone[at] = ~_lasting(steps, at)
     fresh[1:-1] = alone
     fresh[2:] |= alone
     fresh[1:] |= np.diff(t) > LONG * median_step(t)
@@ -186,3 +189,18 @@ def _alone(bend: Array) -> Array:
     around = np.pad(bend, AROUND)[at[:, None] + np.arange(2 * AROUND + 1)]
     found[at] = bend[at] > BREAK * np.median(around, axis=1)
     return np.asarray(found)
+
+
+def _lasting(steps: Array, at: Array) -> Array:
+    """Whether motion (K,) starts or stops at second differences `at` (K,) of `steps` (N,): its steps last.
+
+    The larger step beside it has a neighbour in its direction of at least a quarter, as innovations that lag have.
+    After a false reading the next step leads back; a shift is one step.
+    """
+    around = np.pad(steps, AROUND, constant_values=np.nan)[at[:, None] + np.arange(1, 2 * AROUND + 1)]
+    # as many steps before as after: where one speed follows another, the median is between them
+    off = (around - np.nanmedian(around, axis=1, keepdims=True))[:, AROUND - 2 : AROUND + 2]
+    second = np.abs(off[:, 2]) > np.abs(off[:, 1])
+    large = np.where(second, off[:, 2], off[:, 1])
+    beside = np.where(second[:, None], off[:, [1, 3]], off[:, [0, 2]])
+    return np.asarray((4.0 * np.sign(large)[:, None] * beside >= np.abs(large)[:, None]).any(axis=1))
