@@ -130,8 +130,11 @@ def _inside(folder: Path) -> Iterator[Path]:
 
 
 def is_rosbag2(folder: Path) -> bool:
-    """Whether a folder is a rosbag2 log rather than a folder of logs."""
-    return (folder / "metadata.yaml").is_file() or any(folder.glob("*.db3"))
+    """Whether a folder is a rosbag2 log rather than a folder of logs: described as one, or with databases alone."""
+    if (folder / "metadata.yaml").is_file():
+        return True
+    names = [path.name for path in folder.iterdir() if path.name.endswith(SUFFIXES) and path.name[0] != "."]
+    return any(name.endswith(".db3") for name in names) and all(".db3" in name for name in names)
 
 
 def _file_name(log: str) -> str:

@@ -207,3 +207,12 @@ def test_endless_search_is_rejected(tmp_path, monkeypatch):
     for given in (str(tmp_path), f"{tmp_path}/**"):
         with pytest.raises(UsageError, match="more than 10"):
             list(find(given))
+
+
+def test_database_among_other_logs_is_one_log_of_a_folder(tmp_path):
+    for name in ("one.db3", "two.mcap", "three.bag"):
+        (tmp_path / name).write_bytes(b"log")
+    assert list(find(str(tmp_path))) == [str(tmp_path / name) for name in ("one.db3", "three.bag", "two.mcap")]
+    (tmp_path / "two.mcap").unlink()
+    (tmp_path / "three.bag").unlink()
+    assert list(find(str(tmp_path))) == [str(tmp_path)]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from bodylog import logs
 from bodylog.errors import LogError
 from bodylog.logs.formats import open_log
 from fixtures import by_hand
@@ -108,3 +109,10 @@ def test_open_reads_compressed_files_once(tmp_path: Path) -> None:
     assert len(peers.ours(tmp_path)) == 60
     shutil.copyfile(FOLDER / "humble.db3", tmp_path / "x.db3")
     assert len(peers.ours(tmp_path)) == 60
+
+
+def test_convert_skips_a_link_to_a_missing_file(split: Path, tmp_path: Path) -> None:
+    (split / "gone.mcap").symlink_to(tmp_path / "nowhere.mcap")
+    logs.convert(split, tmp_path / "out.mcap")
+    with open_log(tmp_path / "out.mcap") as log:
+        assert [(topic.name, topic.messages) for topic in log.topics] == [("/a", 40), ("/b", 20)]

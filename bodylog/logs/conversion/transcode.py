@@ -232,7 +232,7 @@ def _profile(source: Path) -> str:
 def _extras(source: Path, writer: Writer, ours: bool, limits: Input) -> list[Finding]:
     """Copy attachments and metadata of an MCAP, compressed or in a folder, up to its first damage; returns losses."""
     if source.is_dir():
-        members = sorted(path for path in source.iterdir() if ".mcap" in path.suffixes)
+        members = sorted(path for path in source.iterdir() if ".mcap" in path.suffixes and path.is_file())
         return [finding for member in members for finding in _extras(member, writer, ours, limits)]
     with source.open("rb") as stream:
         packed = is_packed(stream.read(4))
