@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 # Small matrices are faster on one BLAS thread, and one thread gives the same bytes on every machine size.
 for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
@@ -38,8 +39,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         code = 128 + signal.SIGINT
     if signalled and signalled():
-        code = 128 + signalled()
-        signals.clean()
+        # an interrupted library may crash while Python finalises
+        with suppress(OSError, ValueError):
+            sys.stdout.flush()
+        signals.end(signalled(), quiet=False)
     gc.freeze()  # what is left is looked through once more on the way out, for nothing
     sys.exit(code)
 
