@@ -49,6 +49,20 @@ def test_moved_camera_is_found_with_time_and_size(moves, px, count):
     assert np.sqrt(np.mean(off**2)) < 1.75 and np.abs(off).max() < 5.0
 
 
+@pytest.mark.parametrize("row", [0, -1])
+@pytest.mark.parametrize("seed", range(8, 11))
+def test_a_false_image_at_either_end_is_no_moved_camera(world, seed, row):
+    drawn = world(seed, duration=8.0, encoder_hz=100.0, camera_hz=60.0)
+    track = drawn.features.tracks["effector"]
+    kept = np.random.default_rng(seed).random(len(track.t)) < 0.12  # at uneven times
+    kept[[0, -1]] = True
+    values = track.values.copy()
+    values[row] += (-6.0, -120.0)
+    parts = {name: getattr(track, name)[kept] for name in ("t", "source_ns", "std")}
+    uneven = replace(track, values=values[kept], **parts)
+    assert not cameras(replace(drawn.features, tracks={"effector": uneven}), drawn.body)
+
+
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
 @pytest.mark.parametrize("px", [4.0, 20.0])
 def test_moved_camera_does_not_degrade_the_estimate(method, px):
