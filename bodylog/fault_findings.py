@@ -33,7 +33,8 @@ def sighting_findings(found: Features) -> tuple[Finding, ...]:
 def truth_findings(found: Estimate, truth: Series | None) -> tuple[Finding, ...]:
     """A remark where errors against truth cannot be computed: no truth, or truth of other joints."""
     if truth is None:
-        return (Finding("warning", "no truth topic, so no error against truth; name one in [topics] truth"),)
+        text = "no truth topic, so no error against truth; name one in [topics] truth, or type --truth FILE"
+        return (Finding("warning", text),)
     if set(truth.names) & set(found.joints.names):
         return ()
     names = f"the truth is of {', '.join(truth.names)}, the estimate of {', '.join(found.joints.names)}"

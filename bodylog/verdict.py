@@ -48,7 +48,8 @@ def of_batch(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
 
 
 def _first(lines: Sequence[str], what: str, joined: str | None = None) -> list[str]:
-    rest = [f"{len(lines) - MOST} more {what}"] if len(lines) > MOST else []
+    more = len(lines) - MOST
+    rest = [f"{more} more {what if more > 1 else what.removesuffix('s')}"] if more > 0 else []
     shown = [*lines[:MOST], *rest]
     return [joined.join(shown)] if joined is not None and shown else shown
 

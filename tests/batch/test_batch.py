@@ -46,7 +46,7 @@ def test_batch_has_a_row_per_log_and_the_worst_exit_code(tmp_path, mixed, robot,
     assert run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--jobs", 2) == 65
     codes = {name: row["exit_code"] for name, row in _rows(tmp_path).items()}
     assert codes == {"good.mcap": 0, "truncated.mcap": 3, "empty.mcap": 65, "noise.bag": 65}
-    assert (tmp_path / "good.mcap" / "report.html").exists()
+    assert "<title>good.mcap (annotated.mcap)</title>" in (tmp_path / "good.mcap" / "report.html").read_text()
     assert not (tmp_path / "empty.mcap" / "annotated.mcap").exists()
 
 

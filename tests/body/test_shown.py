@@ -78,9 +78,11 @@ def test_learn_omits_a_wheel_that_turns_all_the_time(explored, further):
     assert left.severity == ("info" if further else "warning") and "[body] joints" in left.text
 
 
-def test_learn_includes_a_turntable_that_turns_more_than_once(explored):
+@pytest.mark.parametrize("turned", [("pan",), ("pan", "lift"), ("pan", "lift", "elbow")])
+def test_learn_includes_joints_that_seem_to_turn(explored, turned):
+    """A turntable, and an arm in degrees."""
     alone = explored(1, 0.002, 20.0).features
     old = alone.joints
-    turned = np.where(np.arange(len(old.names)) == old.names.index("pan"), 4.0, 1.0)
-    wide = body.learn([replace(alone, joints=replace(old, values=old.values * turned))], Settings(), {})
+    scaled = old.values * np.where(np.isin(old.names, turned), 57.3, 1.0)
+    wide = body.learn([replace(alone, joints=replace(old, values=scaled))], Settings(), {})
     assert wide.model.joints == ("pan", "lift", "elbow")

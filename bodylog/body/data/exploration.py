@@ -27,21 +27,21 @@ def select_joints(features: Sequence[Features], chosen: Sequence[Joint], fit: Fi
     serves as a clock: it explains any track between its neighbours in time, and misleads in held-out time.
     """
     beside = {name for found in features for name in found.beside}
-    doubtful = [k for k, joint in enumerate(chosen) if joint.name in beside or joint.range > TURN]
-    if not doubtful:
+    extra = [k for k, joint in enumerate(chosen) if joint.name in beside]
+    wheels = [k for k, joint in enumerate(chosen) if joint.range > TURN and k not in extra]
+    if not extra and not wheels:
         return list(chosen), []
     parts = _parts(features, chosen, fit)
-    effects = np.max([_effects(part, fit) for part in parts], axis=0) if parts else np.zeros(len(chosen))
-    known = [k for k in range(len(chosen)) if k not in doubtful]
-    for k in sorted(doubtful, key=lambda k: -effects[k]):
-        extra = chosen[k].name in beside
-        if (effects[k] > 1.0 or not extra) and any(
-            _helps(part, known, k, fit, SURE if extra else -SURE) for part in parts
-        ):
+    known = [k for k in range(len(chosen)) if k not in extra and k not in wheels]
+    # as one: angles in degrees all seem to be wheels
+    if not parts or any(_helps(part, known, wheels, fit, -SURE) for part in parts):
+        known += wheels
+    effects = np.max([_effects(part, fit) for part in parts], axis=0) if extra and parts else np.zeros(len(chosen))
+    for k in sorted(extra, key=lambda k: -effects[k]):
+        if effects[k] > 1.0 and any(_helps(part, known, [k], fit, SURE) for part in parts):
             known.append(k)
-    return [chosen[k] for k in sorted(known)], [
-        _left_out(joint, joint.name in beside) for k, joint in enumerate(chosen) if k not in known
-    ]
+    left = [joint for k, joint in enumerate(chosen) if k not in known]
+    return [chosen[k] for k in sorted(known)], [_left_out(joint, joint.name in beside) for joint in left]
 
 
 def _left_out(joint: Joint, extra: bool) -> Finding:
@@ -64,11 +64,11 @@ def _effects(part: Pairs, fit: Fit) -> Array:
     return np.array(influence(assemble(data, kernels, ("u", "v"), "px"))) / residual
 
 
-def _helps(part: Pairs, known: Sequence[int], more: int, fit: Fit, sure: float) -> bool:
-    """Whether one more joint lowers a track's error in held-out blocks of time by `sure` standard errors."""
-    if not known:
+def _helps(part: Pairs, known: Sequence[int], more: Sequence[int], fit: Fit, sure: float) -> bool:
+    """Whether more joints lower a track's error in held-out blocks of time, by `sure` standard errors."""
+    if not known or not more:
         return True
-    own, other = (residuals(*_fitted(part, of, fit), part.block)[0] for of in ([*known, more], known))
+    own, other = (residuals(*_fitted(part, of, fit), part.block)[0] for of in ([*known, *more], known))
     mean, error = log_ratio(own, other, part.block)
     return mean + sure * error < 0.0
 

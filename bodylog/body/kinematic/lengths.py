@@ -44,7 +44,8 @@ class Stretch:
         way = "longer" if self.share > 0 else "shorter"
         size = f"{abs(self.share):.1%} ± {self.std:.1%}"
         if not self.before:
-            return f"all the robot's links are {size} {way} than in the URDF, by the camera's or board's metres"
+            known = "by the camera's place, or by size or square in [features]"
+            return f"all the robot's links are {size} {way} than in the URDF, {known}, which may be wrong too"
         link = f"the robot's link between {self.before} and {self.after}"
         return f"{link} is {size} {way} than in the URDF, relative to the others"
 

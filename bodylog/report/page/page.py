@@ -9,7 +9,7 @@ from ...types import Estimate, Features, Recording, Score
 from ..figures import reprojection
 from ..viewers.image_overlay import Picture
 from .data import marks, most_points, plain
-from .tables import escaped, faults, header, notes, score_table, settings, tables
+from .tables import escaped, faults, header, notes, score_table, settings, tables, title
 from .template import document, plots
 from .traces import panels
 
@@ -30,8 +30,9 @@ def write(
     drawn = panels(recording, features, estimate)
     groups = [plain(drawn, marks(features, estimate), recording.duration_s)] if drawn else []
     zeros = reprojection.zeros(estimate.settings.get("offsets"))
+    name = title(recording, provenance)
     body = [
-        header(recording, estimate, scores, verdict),
+        header(name, recording, estimate, scores, verdict),
         faults(estimate),
         _plots(most_points(drawn), notes(features, estimate)) if drawn else "",
         _gallery(pictures),
@@ -40,7 +41,7 @@ def write(
         tables(recording, features, estimate),
         settings(estimate, provenance),
     ]
-    page = document(recording.name, "\n".join(part for part in body if part), groups)
+    page = document(name, "\n".join(part for part in body if part), groups)
     with replacing(out) as beside:
         beside.write_text(page, encoding="utf-8", newline="\n")
 

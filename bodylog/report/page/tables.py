@@ -29,8 +29,18 @@ def escaped(text: str, longest: int = _WORD) -> str:
     return html.escape(clean if len(clean) <= longest else clean[: longest - 1] + "…")
 
 
-def header(recording: Recording, estimate: Estimate, scores: Sequence[Score], verdict: Sequence[str] = ()) -> str:
-    """Log, start, duration, method, the verdict's sentences, and the scores as cards."""
+def title(recording: Recording, provenance: Mapping[str, str]) -> str:
+    """The name of the log that was estimated, and that of the annotated one if it differs: a batch's are all alike."""
+    match _parsed(provenance.get("inputs", "")):
+        case [[str(name), *_], *_] if name != recording.name:
+            return f"{name} ({recording.name})"
+    return recording.name
+
+
+def header(
+    title: str, recording: Recording, estimate: Estimate, scores: Sequence[Score], verdict: Sequence[str] = ()
+) -> str:
+    """Title, start, duration, method, the verdict's sentences, and the scores as cards."""
     facts = [_when(recording.start_ns), f"{recording.duration_s:.2f} s", recording.format]
     facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"]
     line = escaped(" · ".join(facts))
@@ -38,7 +48,7 @@ def header(recording: Recording, estimate: Estimate, scores: Sequence[Score], ve
     cards = "".join(f"<div><b>{escaped(_quantity(x))}</b>{escaped(x.name)}</div>" for x in whole)
     shown = f'\n<div class="cards">{cards}</div>' if cards else ""
     text = "".join(f"\n<p>{escaped(sentence, _TEXT)}</p>" for sentence in verdict)
-    return f'<h1>{escaped(recording.name)}</h1>\n<p class="soft">{line}</p>{text}{shown}'
+    return f'<h1>{escaped(title)}</h1>\n<p class="soft">{line}</p>{text}{shown}'
 
 
 def score_table(scores: Sequence[Score]) -> str:
