@@ -37,6 +37,14 @@ def test_episode_is_the_same_by_name_and_by_option(dataset, run_cli, capsys):
     assert {topic["topic"]: topic["messages"] for topic in one["topics"]}["/joint_states"] == 15
 
 
+@pytest.mark.parametrize("command", ["estimate", "convert", "ingest"])
+def test_command_that_writes_a_log_takes_an_episode(dataset, run_cli, tmp_path, command):
+    """What is copied beside the messages comes from files, which an episode's name is none of."""
+    assert run_cli(command, f"{dataset}#2", "-o", tmp_path / "run.mcap") == 0
+    with logs.open(tmp_path / "run.mcap") as log:
+        assert {topic.name: topic.messages for topic in log.topics}["/joint_states"] == 15
+
+
 def test_episode_range_is_several_logs(dataset, run_cli, capsys):
     assert run_cli("info", dataset, "--episode", "0-2", "--json") == 0
     results = json.loads(capsys.readouterr().out)["results"]
@@ -49,7 +57,7 @@ def test_episode_range_is_several_logs(dataset, run_cli, capsys):
 
 def test_absent_episode_is_refused(dataset, run_cli, capsys):
     assert run_cli("info", dataset, "--episode", 7) == 65
-    assert "no episode 7; there are 0 to 2" in capsys.readouterr().err
+    assert "no episode 7; possible: 0 to 2" in capsys.readouterr().err
     assert run_cli("info", dataset / "meta" / "info.json", "--episode", 0) == 65
     assert "has no episodes; leave out the #" in capsys.readouterr().err
 

@@ -9,6 +9,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ...errors import FormatError
+from ...io import episodes
 from ..decode.ros1_to_cdr import Converter, converter, known_definition
 from ..encode.cdr import Payloads, merge
 from ..formats import open_log
@@ -72,7 +73,7 @@ def carry(
         for table in _tables(counted(log.batches(list(carriers)), progress), carriers, writer, span):
             writer.write(table)
         if only is None:
-            findings += _extras(source, writer, ours, limits)
+            findings += _extras(episodes.base(source), writer, ours, limits)
         findings += [_unconverted(source, c) for c in carriers.values() if c.unconverted]
         return writer, sum(c.carried for c in carriers.values()), (*log.findings, *findings)
 

@@ -63,7 +63,7 @@ def sets_of(file: Any, path: Path, number: int | None, findings: list[Finding]) 
     asked, number = number, demos[0] if number is None else number
     if number not in demos:
         some = ", ".join(map(str, demos[:12]))
-        raise LogError(f"{path}: no episode {number}; there are {some}{' …' if len(demos) > 12 else ''}")
+        raise LogError(f"{path}: no episode {number}; possible: {some}{' …' if len(demos) > 12 else ''}")
     if asked is None and len(demos) > 1:
         some = f"episode {number}, the first of {len(demos)}; for another, type: --episode {demos[1]}"
         findings.append(Finding("info", some))

@@ -54,7 +54,7 @@ def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> Ep
             some = f"episode {number}, the first of {_ranges(there)}; for another, type: --episode {there[1]}"
             findings.append(Finding("info", some))
     if not known.holds(number):
-        raise LogError(f"{folder}: no episode {number}; there are {_ranges(known.present()) or 'none'}")
+        raise LogError(f"{folder}: no episode {number}; possible: {_ranges(known.present()) or 'none'}")
     return EpisodeLog(path, _episode(known, number, findings, limits), strict)
 
 

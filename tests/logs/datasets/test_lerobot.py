@@ -75,7 +75,7 @@ def test_open_defaults_to_the_first_existing_episode(old, copied):
         with logs.open(folder) as log:
             assert len(log["/joint_states"]) == LENGTHS[number]
             assert f"episode {number}, the first of" in log.findings[0].text
-    with pytest.raises(LogError, match=r"no episode 0; there are 1, 2"):
+    with pytest.raises(LogError, match=r"no episode 0; possible: 1, 2"):
         logs.open(copied, episode=0)
 
 

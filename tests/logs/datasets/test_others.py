@@ -52,7 +52,7 @@ def test_open_hdf5_reads_robomimic_demonstrations(tmp_path):
         np.testing.assert_array_equal(np.diff(joints.header.stamp), np.full(11, 40_000_000))
         for frame, image in zip(log.frames("/agentview/image"), drawn.images(12, 3), strict=True):
             np.testing.assert_array_equal(frame.image, image)
-    with pytest.raises(LogError, match=r"no episode 2; there are 0, 1, 3"):
+    with pytest.raises(LogError, match=r"no episode 2; possible: 0, 1, 3"):
         open_log(Path(f"{path}#2"))
     with pytest.raises(LogError, match=r"no episode 1; the file holds one, number 0"):
         open_log(Path(f"{drawn.aloha(tmp_path / 'one.hdf5')}#1"))
