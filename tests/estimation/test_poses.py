@@ -172,3 +172,12 @@ def test_pose_evidence_is_a_dense_one_and_its_gradient_a_finite_difference():
 def test_methods_that_follow_a_motion_are_refused(learned):
     with pytest.raises(UsageError, match="the log has still poses; type laplace"):
         estimate(_poses(1)[0], learned, Estimation(method="kalman"))
+
+
+def test_time_between_poses_is_no_silence(learned):
+    """Poses stand 2 s apart, which in a motion would be a silence of all encoders."""
+    found, _ = _poses(1)
+    apart = {name: replace(one, t=2 * one.t) for name, one in found.tracks.items()}
+    joints = replace(found.joints, t=2 * found.joints.t)
+    result = estimate(replace(found, joints=joints, tracks=apart), learned, Estimation())
+    assert not [one.text for one in result.findings if "silent" in one.text]

@@ -14,13 +14,13 @@ from .contract import Verdict
 from .repeats import SILENT
 
 
-def detect(evidence: Evidence, body: BodyModel) -> Verdict:
-    """Warn where images must determine joints that have no encoder readings, ever or for long."""
-    return Verdict(evidence, (), tuple(silence_findings(body.joints, evidence.encoders, evidence.sightings)))
+def detect(evidence: Evidence, body: BodyModel, poses: bool = False) -> Verdict:
+    """Warn where images must determine joints that have no encoder readings, ever or (unless still poses) for long."""
+    return Verdict(evidence, (), tuple(silence_findings(body.joints, evidence.encoders, evidence.sightings, poses)))
 
 
 def silence_findings(
-    names: tuple[str, ...], encoders: Encoders | None, sightings: Sequence[Sighting]
+    names: tuple[str, ...], encoders: Encoders | None, sightings: Sequence[Sighting], poses: bool = False
 ) -> Iterator[Finding]:
     """Yield warnings where images give fewer numbers than there are joints without encoder readings."""
     mute = silent(names, encoders)
@@ -31,7 +31,7 @@ def silence_findings(
             f"vision: {seen} numbers per image for {len(mute)} joints without an encoder ({', '.join(mute)}): "
             "the posture is ambiguous, errors may far exceed the error bars; add encoders or a camera",
         )
-    if encoders is None or mute or not seen:
+    if encoders is None or mute or not seen or poses:
         return
     frames = np.sort(np.concatenate([sighting.t for sighting in sightings if sighting.name != "touch"]))
     groups: dict[tuple[str, ...], list[str]] = {}

@@ -42,4 +42,4 @@ def screened(
             hypotheses=(*found.hypotheses, *verdict.hypotheses),
         )
     found = sound(found if repairs else replace(found, encoders=gathered.encoders), features, body, settings)
-    return replace(found, findings=(*found.findings, *observability.detect(found, body).findings))
+    return replace(found, findings=(*found.findings, *observability.detect(found, body, features.poses).findings))
