@@ -73,6 +73,13 @@ def test_process_variance_ignores_single_false_readings(order, seed):
     np.testing.assert_allclose(found[1].process, found[0].process, rtol=0.5)
 
 
+def test_no_rounding_makes_a_variance_negative_at_uneven_times():
+    """NumPy would warn of it."""
+    rng = np.random.default_rng(0)
+    t = np.sort(np.arange(0.0, 160.0, 0.01) + rng.uniform(0.0, 0.02, 16000))
+    encoder_noise.likeliest([(t, rng.normal(0.0, 1e-3, len(t)))], order=3)
+
+
 def test_joints_learned_side_by_side_are_as_learned_alone():
     rng = np.random.default_rng(0)
     t = np.cumsum(0.02 + rng.uniform(-0.004, 0.004, 1000))

@@ -97,6 +97,7 @@ def _gains(
         gain = p[0] / s
         p[1:, 1:] -= gain[1:, None] * p[0, 1:]
         p[0] = p[:, 0] = gain
+        p[-1, 1:] = p[1:, -1]  # rounding makes it unsymmetric, which grows until variances are negative
         weight, log = 1.0 / np.sqrt(s), np.log(s)
         if not whole[i]:
             weight *= counts[i, ..., None]
