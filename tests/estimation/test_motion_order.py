@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
+from bodylog.estimation.faults.threshold import NATS
 from bodylog.settings import Estimation
 from tests.estimation.conftest import World, draw
+from tests.estimation.resting import Drawn, drawn
 
 
 def shaken(seed: int) -> World:
@@ -23,15 +25,31 @@ def shaken(seed: int) -> World:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("world", "order"), [(lambda seed: draw(seed, encoder_hz=100.0), 3), (shaken, 2)])
 def test_motion_order_is_chosen_by_evidence_and_listed(world, order, seed):
-    drawn = world(seed)
-    settings = estimate(drawn.features, drawn.body, Estimation(senses=("encoders",))).settings
+    made = world(seed)
+    settings = estimate(made.features, made.body, Estimation(senses=("encoders",))).settings
     (jerk,) = [one for one in settings["hypotheses"] if one["name"] == "white jerk"]
     assert settings["order"] == order and jerk["chosen"] == (order == 3)
     assert (jerk["nats"] > 0.0) == jerk["chosen"] and (jerk["about"], jerk["threshold"]) == ("joints", 0.0)
 
 
 def test_typed_process_is_white_acceleration():
-    drawn = draw(0, encoder_hz=100.0)
-    found = estimate(drawn.features, drawn.body, Estimation(process=0.3))
+    world = draw(0, encoder_hz=100.0)
+    found = estimate(world.features, world.body, Estimation(process=0.3))
     assert found.settings["order"] == 2 and found.settings["process"] == [0.3] * 3
     assert "white jerk" not in [one["name"] for one in found.settings.get("hypotheses", ())]
+
+
+STICKING = Drawn("slow", step=1.5e-3, encoder_hz=20.0, slip=0.006)
+QUANTISED = Drawn("slow", step=0.01, gaps=2)
+RESTING = Drawn("rest", noise=0.005, gaps=3)
+
+
+@pytest.mark.parametrize("seed", range(100, 103))
+@pytest.mark.parametrize("how", [STICKING, QUANTISED, RESTING], ids=str)
+def test_joints_that_stick_or_rest_have_white_acceleration(how, seed):
+    """A quantised encoder's least variance is no evidence for white jerk, nor are short gaps of a joint at rest."""
+    world = drawn(seed, how)
+    settings = estimate(world.features, world.body, Estimation()).settings
+    (jerk,) = [one for one in settings["hypotheses"] if one["name"] == "white jerk"]
+    assert settings["order"] == 2 and jerk["nats"] < jerk["threshold"]
+    assert jerk["threshold"] == (-3 * NATS if how.gaps else 0.0)

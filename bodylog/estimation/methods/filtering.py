@@ -157,9 +157,10 @@ def offset(problem: Problem, solved: Solution) -> Problem:
 def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
     """The problem with noise learned again from the encoders: the process noise had absorbed the offset."""
     encoders, precision = problem.evidence.encoders, problem.precision
-    if settings.precision != "auto" or encoders is None:
+    if precision.learned is None or encoders is None:
         return problem, None
-    evident = encoder_noise.learn(encoders, precision.encoder, precision.process, precision.order, known=True).process
+    known = precision.learned[precision.order - 2].dithered
+    evident = encoder_noise.learn(encoders, precision.encoder, precision.process, precision.order, known).process
     held = typed.precision(precision.held(evident, encoders), settings, problem.evidence.joints)
     return tuned(replace(problem, precision=held), settings)
 

@@ -37,21 +37,22 @@ MEMORY = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """encoder (M,) rad² · process (M,) for motion of an order · evidence (nats) of all joints."""
+    """encoder (M,) rad², also of readings dithered · process (M,) for motion of an order · evidence (nats) of all."""
 
     order: int
     encoder: Array
+    dithered: Array
     process: Array
     evidence: float
 
 
-def learn(encoders: Encoders, encoder: Array, process: Array, order: int = 2, known: bool = False) -> Learned:
+def learn(encoders: Encoders, encoder: Array, process: Array, order: int = 2, known: Array | None = None) -> Learned:
     """Learn encoder variances and process densities by evidence; a joint with few readings keeps the given ones.
 
-    known: the encoder variances are kept, and process densities learned for them.
     Quantised readings are dithered over their step, whose variance is the least.
+    known (M,) rad²: variances of the dithered readings, for which only process densities are learned.
     """
-    encoder, process, joints, nats = encoder.copy(), process.copy(), list[int](), 0.0
+    encoder, found, process, joints, nats = encoder.copy(), encoder.copy(), process.copy(), list[int](), 0.0
     series, coarse = list[tuple[Array, Array]](), list[list[float]]()
     for joint, column in enumerate(encoders.values.T):
         rows = np.flatnonzero(np.isfinite(column))
@@ -63,14 +64,14 @@ def learn(encoders: Encoders, encoder: Array, process: Array, order: int = 2, kn
             spread, *own = dithered(encoders.t[rows], column[rows])
             series.append((encoders.t[rows], spread))
             coarse.append(own)
-        elif len(rows) and not known:
+        elif len(rows) and known is None:
             encoder[joint] *= shared_variance(encoders.t[rows], column[rows])
     if joints:
         added, least = np.transpose(coarse)
-        found, process[joints], won = likeliest(series, order, encoder[joints] + added if known else None)
+        found[joints], process[joints], won = likeliest(series, order, None if known is None else known[joints])
         nats = float(won.sum())
-        encoder[joints] = np.maximum(found - added, least)
-    return Learned(order, encoder, process, nats)
+        encoder[joints] = np.maximum(found[joints] - added, least)
+    return Learned(order, encoder, found, process, nats)
 
 
 def followable(encoders: Encoders, encoder: Array, process: Array, order: int) -> Array:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...types import Array, Hypothesis
+from ..faults.threshold import NATS
 from ..inference.gauss_newton import solve_knots
 from ..inference.knot_problem import KnotProblem
 from ..inference.problem import Problem
@@ -34,8 +35,9 @@ ROUNDS = (1.2, 0.7, 0.35)
 def with_preferred_order(problem: Problem) -> Problem:
     """The problem with white jerk where the encoders' evidence prefers it, if its noise is learned from the log.
 
-    Also where images leave silent joints open: over seconds accelerations last, which a log's readings, hundredths of a
-    second apart, may not show. Where they determine all silent joints these keep white acceleration.
+    Also where images leave silent joints open, unless the evidence is surely against it: over seconds accelerations
+    last, which a log's readings, hundredths of a second apart, may not show. Where images determine all silent joints
+    these keep white acceleration.
     """
     encoders, precision, learned = problem.evidence.encoders, problem.precision, problem.precision.learned
     unread = problem.posture_prior is not None
@@ -47,7 +49,8 @@ def with_preferred_order(problem: Problem) -> Problem:
     white, jerk = learned
     nats = jerk.evidence - white.evidence
     # both motions have one parameter per joint, so neither is the simpler one
-    order = Hypothesis("white jerk", "joints", nats, 0.0, bool(nats > 0.0) or lasting)
+    threshold = -NATS * len(encoders.values.T) if lasting else 0.0
+    order = Hypothesis("white jerk", "joints", nats, threshold, bool(nats > threshold))
     evidence = replace(problem.evidence, hypotheses=(*problem.evidence.hypotheses, order))
     if order.chosen:
         precision = replace(precision, encoder=jerk.encoder, order=3).held(jerk.process, encoders)
