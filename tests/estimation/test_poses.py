@@ -181,3 +181,20 @@ def test_time_between_poses_is_no_silence(learned):
     joints = replace(found.joints, t=2 * found.joints.t)
     result = estimate(replace(found, joints=joints, tracks=apart), learned, Estimation())
     assert not [one.text for one in result.findings if "silent" in one.text]
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03])
+def test_two_numbers_for_three_joints_do_not_make_an_encoder_sure(learned, noise):
+    """Evidence alone would take two of the three encoders for almost exact: NEES of 68 and 400."""
+    found = []
+    for seed in range(1, 5):
+        features, q = _poses(seed, noise)
+        joints, track = (_first(series, 40) for series in (features.joints, features.tracks["hand_marker"]))
+        belief = estimate(replace(features, joints=joints, tracks={"hand_marker": track}), learned, Estimation())
+        found.append(_nees(belief, q[:40]))
+    assert 0.3 < np.mean(found) < 4.0
+
+
+def _first(series, count):
+    rows = slice(count)
+    return replace(series, t=series.t[rows], values=series.values[rows], source_ns=series.source_ns[rows])
