@@ -126,7 +126,7 @@ def _inside(folder: Path) -> Iterator[Path]:
             yield from _episodes(path)
             continue
         names = sorted(path.iterdir(), reverse=True)
-        left += [one for one in names if (one.name[0] != "." if one.is_dir() else one.name.endswith(SUFFIXES))]
+        left += [one for one in names if (one.name[0] != "." if one.is_dir() else one.name.lower().endswith(SUFFIXES))]
 
 
 def is_rosbag2(folder: Path) -> bool:

@@ -216,3 +216,9 @@ def test_database_among_other_logs_is_one_log_of_a_folder(tmp_path):
     (tmp_path / "two.mcap").unlink()
     (tmp_path / "three.bag").unlink()
     assert list(find(str(tmp_path))) == [str(tmp_path)]
+
+
+def test_logs_in_a_folder_are_found_whatever_the_case_of_their_suffix(tmp_path):
+    for name in ("a.mcap", "B.MCAP", "c.Bag", "notes.TXT"):
+        (tmp_path / name).touch()
+    assert [log.rpartition("/")[2] for log in find(str(tmp_path))] == ["B.MCAP", "a.mcap", "c.Bag"]
