@@ -17,7 +17,7 @@ _NEAR = 1.0 / _TURN
 
 
 class Named(NamedTuple):
-    """The messages, by their rows (k,), with these joints in this order."""
+    """The messages, by their rows (k,), that name these joints, in any order."""
 
     names: tuple[str, ...]
     rows: Array
@@ -85,11 +85,12 @@ def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, ev
 
 
 def _sets(good: Sequence[tuple[Array, Array | None, tuple[str, ...], Array]]) -> tuple[Named, ...]:
-    """Messages by the joints they name, the most frequent first."""
-    rows: dict[tuple[str, ...], list[Array]] = {}
+    """Messages by the joints they name, in any order, the most frequent first."""
+    lists: dict[frozenset[str], tuple[tuple[str, ...], list[Array]]] = {}
     for some, _, names, _ in good:
-        rows.setdefault(names, []).append(some)
-    return tuple(Named(n, np.concatenate(r)) for n, r in sorted(rows.items(), key=lambda one: -sum(map(len, one[1]))))
+        lists.setdefault(frozenset(names), (names, []))[1].append(some)
+    most_first = sorted(lists.values(), key=lambda one: -sum(map(len, one[1])))
+    return tuple(Named(names, np.concatenate(rows)) for names, rows in most_first)
 
 
 def _unfit(names: int, positions: int) -> str:

@@ -54,7 +54,7 @@ _NAMED = 4
 
 
 def _changing(stream: Stream) -> Iterator[str]:
-    """Findings on a topic whose messages do not name the same joints in one order, with likely causes."""
+    """Findings on a topic whose messages do not all name the same joints, with likely causes."""
     if len(stream.sets) < 2:
         return
     some = "; ".join(f"{', '.join(one.names)} ({len(one.rows)} messages)" for one in stream.sets[:_NAMED])

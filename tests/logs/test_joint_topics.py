@@ -110,6 +110,14 @@ def test_read_reports_two_publishers_on_one_topic(tmp_path):
     assert texts in _texts(path)
 
 
+def test_joints_in_varying_order_are_one_list(tmp_path):
+    one, two = _topic("/joint_states", ("pan", "lift"), 10, 100), _topic("/joint_states", ("lift", "pan"), 10, 100, 4.0)
+    messages = [m for pair in zip(one.messages, two.messages, strict=True) for m in pair]
+    path = write(tmp_path / "x.mcap", [replace(one, messages=messages)])
+    assert "lists of joints" not in _texts(path)
+    assert set(read(path, Settings()).joints.names) == {"pan", "lift"}
+
+
 def test_read_reports_changing_and_vanishing_joints(tmp_path):
     whole, less = _topic("/joint_states", ("pan", "lift"), 10, 600), _topic("/joint_states", ("pan",), 10, 600)
     messages = [*whole.messages[:300], *less.messages[300:]]
