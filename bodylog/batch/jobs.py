@@ -126,15 +126,20 @@ def _inside(folder: Path) -> Iterator[Path]:
             yield from _episodes(path)
             continue
         names = sorted(path.iterdir(), reverse=True)
-        left += [one for one in names if (one.name[0] != "." if one.is_dir() else one.name.lower().endswith(SUFFIXES))]
+        left += [one for one in names if (one.name[0] != "." if one.is_dir() else _is_log(one.name))]
 
 
 def is_rosbag2(folder: Path) -> bool:
     """Whether a folder is a rosbag2 log rather than a folder of logs: described as one, or with databases alone."""
     if (folder / "metadata.yaml").is_file():
         return True
-    names = [path.name for path in folder.iterdir() if path.name.endswith(SUFFIXES) and path.name[0] != "."]
+    names = [path.name.lower() for path in folder.iterdir() if _is_log(path.name) and path.name[0] != "."]
     return any(name.endswith(".db3") for name in names) and all(".db3" in name for name in names)
+
+
+def _is_log(name: str) -> bool:
+    """Whether a file's name is that of a log, in small letters or capitals."""
+    return name.lower().endswith(SUFFIXES)
 
 
 def _file_name(log: str) -> str:

@@ -222,3 +222,9 @@ def test_logs_in_a_folder_are_found_whatever_the_case_of_their_suffix(tmp_path):
     for name in ("a.mcap", "B.MCAP", "c.Bag", "notes.TXT"):
         (tmp_path / name).touch()
     assert [log.rpartition("/")[2] for log in find(str(tmp_path))] == ["B.MCAP", "a.mcap", "c.Bag"]
+
+
+def test_a_log_in_capitals_is_no_part_of_the_database_beside_it(tmp_path):
+    for name in ("one.db3", "TWO.MCAP"):
+        (tmp_path / name).write_bytes(b"log")
+    assert sorted(find(str(tmp_path))) == [str(tmp_path / name) for name in ("TWO.MCAP", "one.db3")]
