@@ -70,7 +70,7 @@ def _tracks(
         text = (
             "camera: none in this log; no tracks but those that topics and tables have"
             if recording.tracks
-            else ("camera: none in this log; no tracks, no strokes")
+            else "camera: none in this log; no tracks, no strokes"
         )
         return {}, {}, (Finding("info", text),), None
     features, consumed = wanted(settings), recording.consumed

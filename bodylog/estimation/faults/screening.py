@@ -23,17 +23,16 @@ OF_POSES: Mapping[str, Detector] = {name: DETECTORS[name] for name in ("out_of_r
 
 
 def screened(
-    features: Features, body: BodyModel, settings: Estimation, whole: bool = True, repairs: bool = True,
-    detectors: Mapping[str, Detector] = DETECTORS,
-) -> Evidence:  # fmt: skip
-    """Gather the measurements that the settings ask for and run the detectors; EvidenceError if a named sense is empty.
+    features: Features, body: BodyModel, settings: Estimation, whole: bool = True, repairs: bool = True
+) -> Evidence:
+    """Gather the measurements that the settings ask for and run all detectors; EvidenceError if a named sense is empty.
 
     `whole`: all frames of one touch count as one sighting. Without `repairs`, encoder faults are named, but the
     readings stay as they were.
     """
     gathered = gather(features, body, settings, whole)
     found = gathered
-    for name, detect in detectors.items():
+    for name, detect in (OF_POSES if features.poses else DETECTORS).items():
         verdict = detect(found, body)
         found = replace(
             verdict.evidence,

@@ -8,7 +8,7 @@ from ...body_model import BodyModel
 from ...errors import EvidenceError, ModelError, UsageError
 from ...settings import Estimation
 from ...types import Array, Capabilities, Estimate, Features, Finding, Series
-from ..faults.screening import OF_POSES, screened
+from ..faults.screening import screened
 from ..measurements.long_arrays import seen as seen_rows
 from ..measurements.records import Evidence
 from ..noise import typed
@@ -24,7 +24,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation, can: Cap
     if can.from_paper:
         possible = "laplace, smoother or ekf, which are the same for poses"
         raise UsageError(f"method: {settings.method!r} needs motion, but the log has still poses; type {possible}")
-    evidence = screened(replace(features, touches=None), body, settings, detectors=OF_POSES)
+    evidence = screened(replace(features, touches=None), body, settings)
     sightings = [s for s in typed.sightings(evidence.sightings, settings) if s.name != "touch"]
     poses = gathered(evidence.encoders, sightings, body)
     if not len(poses.t):
