@@ -39,7 +39,7 @@ def test_episode_is_the_same_by_name_and_by_option(dataset, run_cli, capsys):
 
 @pytest.mark.parametrize("command", ["estimate", "convert", "ingest"])
 def test_command_that_writes_a_log_takes_an_episode(dataset, run_cli, tmp_path, command):
-    """What is copied beside the messages comes from files, which an episode's name is none of."""
+    """Attachments are copied from files, and an episode's name is not a file."""
     assert run_cli(command, f"{dataset}#2", "-o", tmp_path / "run.mcap") == 0
     with logs.open(tmp_path / "run.mcap") as log:
         assert {topic.name: topic.messages for topic in log.topics}["/joint_states"] == 15

@@ -85,9 +85,9 @@ def judge(rows):
         columns = [f"{c} {m:.3f} ± {e:.3f}" for c, m, e in zip(COLUMNS, mean, error, strict=True)]
         print(f"\n{method}: {', '.join(columns)}")
         assert mean[0] <= factor
-        assert all(0.84 < one < 1.2 for one in mean[1:4])
+        assert all(0.85 < one < 1.2 for one in mean[1:4])
         assert 93.0 < mean[4] < 97.0
-        assert 0.84 < mean[5] < 1.2
+        assert 0.85 < mean[5] < 1.2
         assert 93.0 < mean[6] < 97.0
 
 
