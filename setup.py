@@ -1,0 +1,68 @@
+"""Compiles the C library while setuptools builds the package, and is the build backend that pyproject.toml names."""
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from shutil import which
+
+from setuptools import Extension, build_meta, setup
+from setuptools.build_meta import *  # noqa: F403
+from setuptools.command.bdist_wheel import bdist_wheel
+from setuptools.command.build_ext import build_ext
+
+FLAGS = "-O3 -std=c11 -fPIC -shared -ffp-contract=off -Wall -Wextra -Werror -Wno-psabi".split()
+ZIG = [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline"]
+"""The compiler of a Python package. Unless told otherwise, it compiles for the CPU that it runs on."""
+
+
+def compiler():
+    """$CC, or else the first compiler on the path, or else Zig's."""
+    if chosen := shlex.split(os.environ.get("CC", "")):
+        return chosen
+    return next(([name] for name in ("cc", "gcc", "clang") if which(name)), ZIG)
+
+
+def get_requires_for_build_wheel(config_settings=None):
+    """What setuptools needs, and Zig's compiler where there is no other."""
+    return build_meta.get_requires_for_build_wheel(config_settings) + ["ziglang"] * (compiler() == ZIG)
+
+
+get_requires_for_build_editable = get_requires_for_build_wheel
+
+
+class Library(build_ext):
+    """Compiles all C files with one command; the library's name has no Python version, because it needs none."""
+
+    def get_ext_filename(self, fullname):
+        """The library's path below the folder of packages."""
+        return f"{fullname.replace('.', os.sep)}.so"
+
+    def build_extension(self, ext):
+        """Ends with the command if it fails; the compiler says why."""
+        target = Path(self.get_ext_fullpath(ext.name))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        command = [*compiler(), *FLAGS, "-o", str(target), *ext.sources, "-lm"]
+        try:
+            subprocess.run(command, check=True)
+        except (OSError, subprocess.CalledProcessError) as err:
+            advice = "install gcc or clang, type `pip install ziglang`, or name a C compiler in CC"
+            raise SystemExit(f"error: bodylog's C library was not compiled: {err}; {shlex.join(command)}; {advice}") from None
+
+
+class Wheel(bdist_wheel):
+    """A wheel for one platform and every Python 3."""
+
+    def get_tag(self):
+        """Python, ABI, platform."""
+        return "py3", "none", super().get_tag()[2]
+
+
+def _library():
+    sources, headers = (sorted(map(str, Path("bodylog/estimation").rglob(name))) for name in ("*.c", "*.h"))
+    return Extension("bodylog.estimation.inference.kernel", sources, depends=headers)
+
+
+if __name__ == "__main__":
+    setup(ext_modules=[_library()], cmdclass={"build_ext": Library, "bdist_wheel": Wheel})
