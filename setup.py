@@ -12,7 +12,7 @@ from setuptools.build_meta import *  # noqa: F403
 from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
-FLAGS = "-O3 -std=c11 -fPIC -shared -ffp-contract=off -Wall -Wextra -Werror -Wno-psabi".split()
+FLAGS = ["-O3", "-std=c11", "-fPIC", "-shared", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-Wno-psabi"]
 ZIG = [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline"]
 """The compiler of a Python package. Unless told otherwise, it compiles for the CPU that it runs on."""
 
@@ -45,10 +45,12 @@ class Library(build_ext):
         target.parent.mkdir(parents=True, exist_ok=True)
         command = [*compiler(), *FLAGS, "-o", str(target), *ext.sources, "-lm"]
         try:
-            subprocess.run(command, check=True)
-        except (OSError, subprocess.CalledProcessError) as err:
+            failure = subprocess.run(command).returncode
+        except OSError as err:
+            failure = err.strerror
+        if failure:
             advice = "install gcc or clang, type `pip install ziglang`, or name a C compiler in CC"
-            raise SystemExit(f"error: bodylog's C library was not compiled: {err}; {shlex.join(command)}; {advice}") from None
+            raise SystemExit(f"error: this did not compile the C library: {shlex.join(command)} ({failure}); {advice}")
 
 
 class Wheel(bdist_wheel):
