@@ -63,7 +63,7 @@ class Wheel(bdist_wheel):
 
 def _library():
     sources, headers = (sorted(map(str, Path("bodylog/estimation").rglob(name))) for name in ("*.c", "*.h"))
-    return Extension("bodylog.estimation.inference.kernel", sources, depends=headers)
+    return Extension("bodylog.estimation.inference.libkernel", sources, depends=headers)
 
 
 if __name__ == "__main__":

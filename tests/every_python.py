@@ -14,6 +14,7 @@ from shutil import which
 ROOT = Path(__file__).parents[1]
 SOURCE = (ROOT / "pyproject.toml").read_text()
 PROJECT = tomllib.loads(SOURCE)["project"]
+BUILT_FROM = [ROOT / "pyproject.toml", ROOT / "setup.py", *sorted((ROOT / "bodylog").rglob("*.[ch]"))]
 VERSIONS = [word.split()[-1] for word in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", word)]
 EXTRAS = PROJECT["optional-dependencies"]
 HIGH = {"test", "all", "view", "docs"}
@@ -40,14 +41,15 @@ def _tests(python: Path, options: list[str]) -> int:
 
 
 def _environment(name: str) -> Path:
-    """The Python of the environment of that name, reinstalled when pyproject.toml has changed."""
+    """The Python of the environment of that name, reinstalled when what it was built from has changed."""
     folder = ROOT / "build" / f"python-{name}"
-    python, stamp = folder / "bin" / "python", folder / "pyproject.toml"
-    if not stamp.exists() or stamp.read_text() != SOURCE:
+    python, stamp = folder / "bin" / "python", folder / "built_from"
+    source = "".join(path.read_text() for path in BUILT_FROM)
+    if not stamp.exists() or stamp.read_text() != source:
         print(f"{name}: installing into {folder}", flush=True)
         _uv("venv", "--clear", "--python", _interpreter(VERSIONS[0] if name == "lowest" else name), str(folder))
         (_install_lowest if name == "lowest" else _install_newest)(python, folder)
-        stamp.write_text(SOURCE)
+        stamp.write_text(source)
     return python
 
 

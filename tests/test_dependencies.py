@@ -28,7 +28,7 @@ OURS = {"bodylog", "bodylog_cli", "tests", "docs", "fixtures"}
 OURS_ALONE = {"test", "bench", "docs"}
 """Extras for developers: test tools, the peers of the benchmarks, and what builds the site."""
 
-COMMANDS = {"ipykernel", "mypy", "ruff", "build", "pytest-xdist", "rosbags-image", "uv"}
+COMMANDS = {"ipykernel", "mypy", "ruff", "build", "pytest-xdist", "rosbags-image", "setuptools", "uv"}
 """Test tools that are run, or found by their framework, and not imported."""
 
 
