@@ -247,7 +247,7 @@ def test_images_separate_a_frozen_encoder_from_a_coarse_one_at_rest(moves, joint
     found = estimate(spoil(sound, freeze, sound.features.joints.names[joint]), sound.body, Estimation())
     assert [(f.name, f.kind) for f in found.faults] == [(sound.features.joints.names[joint], "frozen")]
     error, nees = judged(sound, found.joints, found.cov)
-    assert error < 0.02 and nees < 2.0  # 0.06 to 0.14 rad without the fault's detection
+    assert error < 0.02 and nees < 2.5  # 0.06 to 0.14 rad without the fault's detection
 
 
 @pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])

@@ -1,4 +1,6 @@
-"""The compiled library: found, missing, and given addresses of arrays."""
+"""The compiled library: found, missing, of another version, and given arrays."""
+
+import ctypes
 
 import numpy as np
 import pytest
@@ -20,14 +22,17 @@ def test_missing_or_broken_library_is_one_line_with_the_command(tmp_path, monkey
         kernel.library.__wrapped__()
 
 
-@pytest.mark.parametrize("dtype", [float, np.uint8])
-def test_pointer_is_the_address_of_the_first_element(dtype):
-    array = np.zeros((3, 4), dtype)
-    assert kernel.pointer(array[1:]).value == array.ctypes.data + array.strides[0]
-    assert kernel.pointer(None).value is None
+class Two(ctypes.Structure):
+    _fields_ = kernel.fields("n", "", "a b")
 
 
-@pytest.mark.parametrize("array", [np.zeros(3, np.float32), np.zeros(3, bool), np.zeros((3, 4)).T, np.zeros(6)[::2]])
-def test_pointer_takes_no_other_type_or_order(array):
+@pytest.mark.parametrize("array", [np.zeros(3, np.float32), np.zeros(3, int), np.zeros((3, 4)).T, np.zeros(6)[::2]])
+def test_arrays_of_another_type_or_order_are_not_taken(array):
     with pytest.raises(AssertionError):
-        kernel.pointer(array)
+        kernel.run("scan", Two, n=3, a=array)
+
+
+@pytest.mark.parametrize("function", ["scan", "adjoint", "evidence"])
+def test_a_library_of_another_version_is_one_line_with_the_command(function):
+    with pytest.raises(UsageError, match=r"library is of another version; type in bodylog's folder: pip install \.$"):
+        kernel.run(function, Two, n=3)

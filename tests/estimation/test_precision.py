@@ -1,13 +1,15 @@
 """Variances found by evidence, against the ones the readings were drawn with."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
+from bodylog.estimation.inference.motion import grow
 from bodylog.estimation.measurements.records import Encoders
-from bodylog.estimation.noise import encoder_noise, evidence_search, quantisation
+from bodylog.estimation.noise import encoder_evidence, encoder_noise, evidence_search, quantisation
 from bodylog.settings import Estimation
 from tests.estimation import conftest
 
@@ -27,8 +29,13 @@ def white(seed, noise, process, t):
 
 def likeliest(t, y):
     """Noise and process of one joint."""
-    noise, process, _ = encoder_noise.likeliest([(t, y)])
-    return noise[0], process[0]
+    learned = learn(t, y)
+    return learned.encoder[0], learned.process[0]
+
+
+def learn(t, y, order=2):
+    (joint,) = encoder_noise.series(Encoders(t, y[:, None], np.zeros(len(t), int)))
+    return encoder_noise.learn([joint], np.ones(1), np.ones(1), order)
 
 
 @pytest.mark.parametrize(("noise", "process"), [(4e-4, 0.1), (1e-6, 0.1), (1e-4, 1e-3)])
@@ -68,8 +75,8 @@ def test_process_variance_ignores_single_false_readings(order, seed):
     sound = np.sin(np.outer(t, [0.7, 1.1, 1.6])) * 0.3 + rng.normal(0.0, 0.02, (len(t), 3))
     false = sound.copy()
     false[rng.choice(len(t), 8, replace=False)] += rng.normal(0.0, 0.5, (8, 3))
-    found = [encoder_noise.learn(Encoders(t, values, np.zeros(len(t), int)), np.full(3, 1e-4), np.ones(3), order)
-             for values in (sound, false)]  # fmt: skip
+    joints = [encoder_noise.series(Encoders(t, values, np.zeros(len(t), int))) for values in (sound, false)]
+    found = [encoder_noise.learn(each, np.full(3, 1e-4), np.ones(3), order) for each in joints]
     np.testing.assert_allclose(found[1].process, found[0].process, rtol=0.5)
 
 
@@ -77,22 +84,14 @@ def test_no_rounding_makes_a_variance_negative_at_uneven_times():
     """NumPy would warn of it."""
     rng = np.random.default_rng(0)
     t = np.sort(np.arange(0.0, 160.0, 0.01) + rng.uniform(0.0, 0.02, 16000))
-    encoder_noise.likeliest([(t, rng.normal(0.0, 1e-3, len(t)))], order=3)
-
-
-def test_joints_learned_side_by_side_are_as_learned_alone():
-    rng = np.random.default_rng(0)
-    t = np.cumsum(0.02 + rng.uniform(-0.004, 0.004, 1000))
-    pieces = [(t[:900], white(0, 1e-4, 0.05, t[:900])), (t[::2], white(1, 4e-4, 0.1, t[::2]))]
-    together = np.transpose(encoder_noise.likeliest(pieces)[:2])
-    np.testing.assert_allclose(together, [likeliest(*piece) for piece in pieces], rtol=1e-9)
+    learn(t, rng.normal(0.0, 1e-3, len(t)), order=3)
 
 
 def test_encoder_noise_of_constant_joints_is_the_bodys():
     t = np.arange(0.0, 4.0, 0.02)
     values = np.stack([np.zeros_like(t), np.full_like(t, np.nan)], axis=1)
     given = np.array([1e-4, 1e-4]), np.array([0.2, 0.3])
-    learned = encoder_noise.learn(Encoders(t, values, t.astype(np.int64)), *given)
+    learned = encoder_noise.learn(encoder_noise.series(Encoders(t, values, t.astype(np.int64))), *given)
     encoder, process = learned.encoder, learned.process
     # that all repeat one value is one error of it, not many
     np.testing.assert_allclose(encoder, given[0] * [t[-1] / quantisation.ONE, 1.0])
@@ -168,24 +167,41 @@ def _until(track, t):
     return replace(track, t=track.t[rows], values=track.values[rows], source_ns=track.source_ns[rows], std=std)
 
 
-def test_evidence_does_not_depend_on_the_stretches(monkeypatch):
-    t = np.arange(0.0, 30.0, 0.01)
-    slow = 0.1 * np.sin(0.8 * t + 1.0) + np.random.default_rng(0).normal(0.0, 0.01, len(t))
-
-    def jerk_wins():
-        noise, process, jerk = encoder_noise.likeliest([(t, slow)], 3)
-        return np.array([jerk[0] - encoder_noise.likeliest([(t, slow)], 2)[2][0], np.log(noise[0]), np.log(process[0])])
-
-    stretched = jerk_wins()
-    monkeypatch.setattr(encoder_noise, "STRETCH", len(t))
-    # a vague start of each stretch would cost tens of nats
-    assert (np.abs(stretched - jerk_wins()) < [2.0, 2e-3, 0.1]).all() and stretched[0] > 0.0
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("known", [None, 2e-4])
+def test_evidence_is_that_of_a_kalman_filter(order, known):
+    rng = np.random.default_rng(order)
+    t = np.cumsum(rng.uniform(0.005, 0.02, 400))
+    y = 0.1 * np.sin(t) + rng.normal(0.0, 0.01, 400)
+    fresh = np.zeros(400, bool)
+    fresh[[0, 150]] = True
+    ratios = 10.0 ** np.arange(-1.0, 10.0)
+    score, noise, _ = encoder_evidence.evidence(t, y, fresh, ratios, order, known)
+    usual, dt = np.median(np.diff(t)), np.diff(t, prepend=t[0])
+    vague = np.diag(1e8 / usual ** (2.0 * np.arange(order)))
+    for index, ratio in enumerate(ratios):
+        squares = logs = count = since = 0.0
+        x, p = np.zeros(order), vague
+        for k in range(400):
+            move = sum(np.eye(order, k=d) * dt[k] ** d / math.factorial(d) for d in range(order))
+            grown = np.zeros((order, order, 1))
+            grow(grown, order, ratio, dt[k : k + 1])
+            x, p, since = move @ x, move @ p @ move.T + grown[..., 0], since + 1
+            if fresh[k]:
+                x, p, since = np.eye(order)[0] * y[k], vague, 0
+            s, nu = p[0, 0] + 1.0, y[k] - x[0]
+            if since >= encoder_evidence.SKIP:
+                squares, logs, count = squares + nu * nu / s, logs + np.log(s), count + 1
+            x, p = x + p[0] / s * nu, p - np.outer(p[0], p[0]) / s
+        own = squares / count if known is None else known
+        assert noise[index] == pytest.approx(own, rel=1e-6)
+        assert score[index] == pytest.approx(-0.5 * (count * np.log(own) + squares / own + logs), abs=1e-3)
 
 
 def test_joints_at_rest_have_the_least_process_variance():
     t, more = np.arange(0.0, 20.0, 0.01), []
     for seed in range(20):
         y = 0.3 + np.random.default_rng(seed).normal(0.0, 0.02, len(t))
-        noise, process, _ = encoder_noise.likeliest([(t, y)])
+        noise, process = likeliest(t, y)
         more.append(process > encoder_noise.floor(t, noise, 2))
     assert np.sum(more) <= 2  # with stretches of half the length 12 of them

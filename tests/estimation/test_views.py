@@ -57,4 +57,4 @@ def test_walk_by_single_instants_equals_the_sweeps(world, seed):
     problem = replace(problem, precision=precision)
     swept, walked = gauss_newton.solve(problem), walk.walk(problem)
     np.testing.assert_allclose(swept.fold.unfold(swept.trace.z), walked.fold.unfold(walked.trace.z), atol=1e-7)
-    np.testing.assert_allclose(swept.fold.unfold(swept.trace.p), walked.fold.unfold(walked.trace.p), atol=1e-8)
+    np.testing.assert_allclose(swept.fold.unfold(swept.trace.cov), walked.fold.unfold(walked.trace.cov), atol=1e-8)

@@ -53,13 +53,12 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
 
     None where the log determines no step, or without convergence.
     """
-    # pooled readings of a known solution would still have the step
-    fresh, encoders = replace(solved, knots=None), problem.evidence.encoders
+    encoders = problem.evidence.encoders
     assert encoders is not None
     y, t = encoders.values[:, joint], encoders.t
 
     def found(posed: Problem) -> Solution:
-        return solve(posed, fresh, rest=ROUGHLY)
+        return solve(posed, solved, rest=ROUGHLY)
 
     def trial(row: int, size: float) -> _Trial:
         without = _with_readings(problem, joint, np.where(np.arange(len(y)) >= row, y - size, y))

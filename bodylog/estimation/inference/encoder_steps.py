@@ -9,10 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...types import Array
-from .conditioning import advance, outlier_cost, raised
-from .filter_records import GATE, Dynamics
-from .motion import carry, spreads
-from .pooling import moves
+from .filter_records import Dynamics
+from .gate import GATE, outlier_cost, raised
+from .motion import advance, carry, moves, spreads
 
 
 class EncoderSteps:
@@ -32,8 +31,8 @@ class EncoderSteps:
         """
         m, order, found = self.joints, self._dynamics.order, belief.copy()
         if held is not None and self._dynamics.stationary is not None:
-            move, shift, noise = (part[0, ..., None] for part in moves(self._dynamics, np.array([dt]), held[None]))
-            advance(move, shift, noise, found[..., None])
+            move, shift, noise = (part[0] for part in moves(self._dynamics, np.array([dt]), held[None]))
+            advance(move, shift, noise, found)
             return found
         for part in (found, found.T):
             carry(part[: order * m].reshape(order, m, -1), dt)  # a view

@@ -3,12 +3,8 @@
 from dataclasses import dataclass, field
 
 from ...types import Array
+from .gate import GATE
 from .stationary import Stationary
-
-PAIRS = {2: ((0, 1),), 3: ((0, 1), (0, 2), (1, 2))}
-"""Pairs of a derivative of the angle and a higher one, by the motion's order."""
-GATE = 5.0
-"""Standard deviations: a larger innovation d has its noise inflated so that its weight falls as (GATE/d)⁴."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,31 +34,13 @@ class Dynamics:
 
 
 @dataclass(frozen=True, eq=False)
-class Pooled:
-    """Encoder readings since the last instant, folded (L,…,C), per joint with its S = K/M states.
-
-    A reading y, var (L,O,M,C), infinite if absent, of each derivative at that instant, up to the motion's order O: of
-    derivative r plus lean (L,P,M,C) times each higher one s, for the pairs (r, s) of `PAIRS`, plus the offset for
-    r = 0. Given them the state moves by move (L,S,S,M,C), shift (L,S,M,C) with noise (L,S,S,M,C); nats (L,C) remain.
-    """
-
-    y: Array
-    var: Array
-    lean: Array
-    move: Array
-    shift: Array
-    noise: Array
-    nats: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Readings:
     """Measurements, folded (L,…,C): dt s · encoders, var (L,M,C), NaN where silent · T tracks of D rows.
 
     A track's row r reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where unseen.
     reset (L,M,C) bool: joints that restart from a wide prior at an instant, or None.
     more (L,M,C): factor on the process variance before an instant, or None for 1.
-    moves: move (L,S,S,M,C), shift (L,S,M,C), noise (L,S,S,M,C) of the states before an instant, if not by dt alone.
+    moves: move (L,S,S,M,C), shift (L,S,M,C), noise (L,S,S,M,C) of the states before an instant; NaN: by dt.
     gate: standard deviations beyond which innovations count as outliers.
     """
 
@@ -76,10 +54,3 @@ class Readings:
     more: Array | None = field(default=None, kw_only=True)
     moves: tuple[Array, Array, Array] | None = field(default=None, kw_only=True)
     gate: float = field(default=GATE, kw_only=True)
-
-
-@dataclass(frozen=True, eq=False)
-class KnotReadings(Readings):
-    """Readings at knots, with the pooled readings before each in place of dt."""
-
-    pooled: Pooled

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
+from .kernel import LANES
 
 SHORTEST = 32
 """Least number of instants in a stretch: its end must not depend on its start."""
@@ -43,6 +44,7 @@ class Fold:
 
 
 def fold_for(events: int) -> Fold:
-    """Fold with up to four times as many stretches as instants in each, so that numpy calls do not dominate."""
-    length = max(SHORTEST, int(np.ceil(np.sqrt(events) / 2)))
-    return Fold(events, length, -(-events // length))
+    """Fold with as many stretches as the kernel filters side by side, if the log is long enough."""
+    count = min(LANES, max(1, events // SHORTEST))
+    length = max(1, -(-events // count))
+    return Fold(events, length, max(1, -(-events // length)))

@@ -32,12 +32,13 @@ def priors(problem: "Problem", fold: Fold) -> tuple[Array, Array]:
     return np.repeat(z[:, None], fold.count, axis=1), np.repeat(p[:, :, None], fold.count, axis=2)
 
 
-def starts(problem: "Problem", fold: Fold, known: "Solution", events: Array) -> tuple[Array, Array]:
-    """Each stretch's start z (K,C), p (K,K,C) from a solution at its `events` (C−1,); new offsets from the prior."""
-    z, p = priors(problem, fold)
+def starts(problem: "Problem", fold: Fold, known: "Solution") -> tuple[Array, Array]:
+    """Each stretch's start z (K,C), p (K,K,C) from a solution of the same log; new offsets from the prior."""
+    (z, p), lasts = priors(problem, fold), fold.lasts()
     k = min(len(z), known.trace.z.shape[1])
-    z[:k, 1:] = known.fold.pick(known.trace.z, events)[:, :k].T
-    p[:k, :k, 1:] = np.moveaxis(known.fold.pick(known.trace.p, events)[:, :k, :k], 0, -1)
+    z[:k, 1:] = known.fold.pick(known.trace.z, lasts)[:, :k].T
+    if known.fold == fold:
+        p[:k, :k, 1:] = known.trace.end_p[:k, :k, :-1]
     return z, p
 
 

@@ -11,9 +11,8 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
-from .conditioning import mahalanobis, outlier_cost, raised
 from .convergence import SWEEPS
-from .filter_records import GATE
+from .gate import GATE, mahalanobis, outlier_cost, raised
 
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
 WEIGHTS /= WEIGHTS.sum()

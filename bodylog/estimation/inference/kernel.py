@@ -3,6 +3,7 @@
 import ctypes
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from ...errors import UsageError
 from ...types import Array
 
 LIBRARY = Path(__file__).with_name("libkernel.so")
+LANES = 8
+"""Stretches, or candidates, that the library computes side by side."""
 
 
 @cache
@@ -18,13 +21,32 @@ def library() -> ctypes.CDLL:
     try:
         return ctypes.CDLL(str(LIBRARY))
     except OSError as err:
-        text = f"the compiled library is missing or does not load: {err}; type in bodylog's folder: pip install ."
-        raise UsageError(text) from None
+        raise _unusable(f"is missing or does not load: {err}") from None
 
 
-def pointer(array: Array | None) -> ctypes.c_void_p:
-    """Address of a C-contiguous array of float64 or uint8, or null; the caller keeps the array during the call."""
-    if array is None:
-        return ctypes.c_void_p()
-    assert array.dtype in (np.float64, np.uint8) and array.flags.c_contiguous, (array.dtype, array.strides)
-    return ctypes.c_void_p(array.ctypes.data)
+def fields(integers: str, numbers: str, arrays: str) -> list[tuple[str, Any]]:
+    """The fields of a C struct by their names: int64_t, then double, then pointers."""
+    kinds = (integers, ctypes.c_int64), (numbers, ctypes.c_double), (arrays, ctypes.c_void_p)
+    return [(name, kind) for names, kind in kinds for name in names.split()]
+
+
+def run(function: str, record: type[ctypes.Structure], **values: Any) -> None:
+    """Call a function with a struct: numbers, and arrays of float64 or bool in C's order, or None.
+
+    MemoryError where it finds no room.
+    """
+    given = record(**{name: _address(part) if isinstance(part, np.ndarray) else part for name, part in values.items()})
+    failed = getattr(library(), function)(ctypes.byref(given), ctypes.c_int64(ctypes.sizeof(record)))
+    if failed == 1:
+        raise MemoryError(f"{function} finds no room for a stretch of the log")
+    if failed:
+        raise _unusable("is of another version")
+
+
+def _address(array: Array) -> int:
+    assert array.dtype in (np.float64, np.bool_) and array.flags.c_contiguous, (array.dtype, array.strides)
+    return int(array.ctypes.data)
+
+
+def _unusable(why: str) -> UsageError:
+    return UsageError(f"the compiled library {why}; type in bodylog's folder: pip install .")

@@ -5,15 +5,14 @@ smoothed belief. All other readings predict it with the error R (R − A)⁻¹ �
 Where the reading was not used, these are ε and R + A.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ...types import Array
 from ..measurements.records import mixed
-from .conditioning import FLAT
-from .filter_records import GATE
+from .gate import FLAT, GATE
 from .problem import Problem
 from .solution import Smooth
 
@@ -34,6 +33,18 @@ class LeftOut(NamedTuple):
     squares: tuple[Array, ...]
     nats: tuple[Array, ...]
     gated: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Judged(Smooth):
+    """A smoothed log, with each reading as all others predict it."""
+
+    left_out: LeftOut
+
+    @staticmethod
+    def of(smooth: Smooth, found: LeftOut) -> "Judged":
+        """The smoothed log with what was found."""
+        return Judged(**vars(smooth), left_out=found)
 
 
 def left_out(problem: Problem, smooth: Smooth) -> LeftOut:

@@ -9,6 +9,9 @@ import numpy as np
 from ...types import Array
 from .filter_records import Dynamics
 
+EVEN = {2: 16, 3: 4}
+"""Instants after which a covariance is made symmetric, before rounding errors grow, by the motion's order."""
+
 
 def carry(a: Array | list[Array], dt: Array | float) -> None:
     """Move derivatives of the angle a (O,…) by dt, in place."""
@@ -16,11 +19,6 @@ def carry(a: Array | list[Array], dt: Array | float) -> None:
         a[state] += dt * a[state + 1]
         if state + 2 < len(a):
             a[state] += (0.5 * dt * dt) * a[state + 2]
-
-
-def carry_back(a: Array | list[Array], dt: Array | float) -> None:
-    """Move adjoints of the derivatives a (O,…) back by dt, in place: the transpose of `carry`."""
-    carry(a[::-1], dt)  # what a derivative adds to the angle, the angle's adjoint adds to the derivative's
 
 
 @cache
@@ -48,3 +46,31 @@ def spreads(dynamics: Dynamics) -> Array:
     if dynamics.drift is not None:
         found[0, range(order * m, k), range(order * m, k)] = dynamics.drift
     return found
+
+
+def moves(dynamics: Dynamics, dt: Array, held: Array) -> tuple[Array, Array, Array]:
+    """Move (E,S,S,M), shift (E,S,M), noise (E,S,S,M) within dt (E,) s; of joints held (E,M) as a stationary process."""
+    assert dynamics.stationary is not None
+    m, order, some = len(dynamics.process), dynamics.order, np.flatnonzero(held.any(axis=1))
+    states = dynamics.size // m
+    move, noise = np.zeros((2, states, states, m, len(dt)))
+    shift = np.zeros(move.shape[1:])
+    np.einsum("ss...->s...", move)[:] = 1.0
+    carry(move[:order], dt)
+    grow(noise, order, dynamics.process[:, None], dt)
+    if dynamics.drift is not None:
+        noise[order, order] += dynamics.drift[:, None] * dt
+    parts = move[:order, :order], shift[:order], noise[:order, :order]
+    for whole, step in zip(parts, dynamics.stationary.step(dt[some]), strict=True):
+        whole[..., some] = np.where(held[some].T, step, whole[..., some])
+    move, shift, noise = (np.moveaxis(part, -1, 0) for part in (move, shift, noise))
+    return move, shift, noise
+
+
+def advance(move: Array, shift: Array, noise: Array, belief: Array) -> None:
+    """Move a belief (K,K+1) in place by each joint's move (S,S,M), shift (S,M) and noise (S,S,M)."""
+    states, m = shift.shape
+    belief[:] = np.einsum("abj,bjk->ajk", move, belief.reshape(states, m, -1)).reshape(belief.shape)
+    belief[:, :-1] = np.einsum("abj,kbj->kaj", move, belief[:, :-1].reshape(-1, states, m)).reshape(len(belief), -1)
+    belief[:, -1] += shift.ravel()
+    np.einsum("ajbj->abj", belief[:, :-1].reshape(states, m, states, m))[:] += noise

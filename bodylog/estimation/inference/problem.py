@@ -11,7 +11,8 @@ from ..measurements.timeline import Timeline
 from ..noise.noise_model import NoiseModel
 from ..noise.posture_prior import PosturePrior
 from ..noise.visibility import views
-from .filter_records import GATE, Dynamics
+from .filter_records import Dynamics
+from .gate import GATE
 from .reacquisition import left_open
 from .stationary import Stationary
 

@@ -14,7 +14,7 @@ from ...types import Array, Finding
 from ..measurements.records import Encoders, Evidence
 from ..measurements.wording import listed
 from ..noise.correlated_noise import PendingFrame
-from .filter_records import GATE
+from .gate import GATE
 from .motion import carry
 
 START_STD = (1.0, 1.0, 3.0)

@@ -13,11 +13,12 @@ from ..noise.posture_prior import PosturePrior
 from . import instant
 from .convergence import RESTING, SETTLED
 from .encoder_steps import EncoderSteps
-from .filter_records import GATE, Dynamics
+from .filter_records import Dynamics
+from .gate import GATE
 from .initial_path import prior_of
 from .instant import Line
+from .motion import EVEN
 from .reacquisition import SILENCE, open_joints, reacquired
-from .scan import EVEN
 
 
 @dataclass(eq=False, slots=True)

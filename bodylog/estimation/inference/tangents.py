@@ -38,28 +38,28 @@ class Tangents:
         distinct = directions(models, np.median(np.concatenate(points), axis=0)) if models else 1
         self._repeated = repeated(counted, common, distinct)
 
-    def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
+    def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> bool:
         """Write stale tangents into the readings: y = s − g + J x°, with the variances of correlated frames.
 
-        Returns which stretches (C,) changed.
+        Returns whether any changed.
         """
-        touched = np.zeros(fold.count, bool)
+        changed = False
         for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
             stale = self._stale[index]
             if stale.any():
                 self._predict(index, sighting, stale)
                 _put(fold, readings.y, index, events, self._y[index], stale)
                 _put(fold, readings.jac, index, events, self._jac[index], stale)
-                touched[events[stale] // fold.length] = True
+                changed = True
             elif self._weighed is problem.precision:
                 continue
             var = self._variances(index, sighting, problem.precision, self.share)
             other = np.logical_or.reduce((np.abs(var / self._var[index] - 1.0) > 1e-9).T)  # rounding
             self._var[index][other] = var[other]
             _put(fold, readings.var, index, events, var, other)
-            touched[events[other] // fold.length] = True
+            changed = changed or bool(other.any())
         self._weighed = problem.precision
-        return touched
+        return changed
 
     def weighed(self, problem: "Problem", fold: Fold, readings: Readings, share: float) -> Array:
         """Variances (L,T,D,C) of readings, with frames as in the problem's noise model and a share."""

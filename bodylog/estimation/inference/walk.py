@@ -11,10 +11,10 @@ from ..noise.evidence_search import ROUGHLY
 from ..noise.posture_prior import stationary
 from .convergence import SETTLED
 from .filter_records import Readings
+from .folded_readings import encoder_rows, folded_readings
 from .folds import Fold, fold_for
 from .initial_path import priors
 from .instant import Line
-from .knot_problem import encoder_rows, full
 from .problem import Problem
 from .reacquisition import SILENCE
 from .scan import scan
@@ -98,7 +98,7 @@ def walk(problem: Problem, remember: bool = False) -> Solution:
     fold = _only(events) if remember else fold_for(events)
     found = _stepped(problem, share, SETTLED, fold)
     tangents = Tangents(problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings))
-    tangents.share, readings = share, full(replace(problem, resets=found.resets), fold, found.held)
+    tangents.share, readings = share, folded_readings(replace(problem, resets=found.resets), fold, found.held)
     tangents.draw(problem, fold, readings)
     for at, state in found.adrift.items():
         _write(np.array([at]), state.lines or {}, fold, readings)

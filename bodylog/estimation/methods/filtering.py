@@ -54,7 +54,7 @@ def _filtered(features: Features, body: BodyModel, settings: Estimation, method:
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
     precision = problem.precision
     beliefs = Beliefs(
-        shown(unfold(trace.z), problem), precision.of(unfold(trace.p[:, :m, :m]), problem.held), unfold(trace.nats),
+        shown(unfold(trace.z), problem), precision.of(unfold(trace.cov[:, :m, :m]), problem.held), unfold(trace.nats),
         unfold(trace.prior),
         unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
         drifts(problem, body.joints, solution, faults), tuple(lost(problem, body.joints, solution)),
@@ -160,7 +160,8 @@ def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution |
     if precision.learned is None or encoders is None:
         return problem, None
     known = precision.learned[precision.order - 2].dithered
-    evident = encoder_noise.learn(encoders, precision.encoder, precision.process, precision.order, known).process
+    joints = encoder_noise.series(encoders)
+    evident = encoder_noise.learn(joints, precision.encoder, precision.process, precision.order, known).process
     held = typed.precision(precision.held(evident, encoders), settings, problem.evidence.joints)
     return tuned(replace(problem, precision=held), settings)
 
@@ -189,7 +190,7 @@ def drifts(problem: Problem, names: tuple[str, ...], solved: Solution, known: tu
     """Encoder offsets as faults, from the filtered offsets, without encoders known to be faulty."""
     if problem.precision.drift is None:
         return ()
-    m, unfold, first = len(names), solved.fold.unfold, problem.dynamics.offset
-    var = unfold(np.einsum("likc,ik->lic", solved.trace.p[:, first:, first:], np.eye(m)))
-    offsets = unfold(solved.trace.z[:, first:])
+    m, unfold = len(names), solved.fold.unfold
+    var = unfold(np.einsum("liic->lic", solved.trace.cov[:, m:, m:]))
+    offsets = unfold(solved.trace.z[:, problem.dynamics.offset :])
     return encoder_offset.faults(problem, names, offsets, var, known)

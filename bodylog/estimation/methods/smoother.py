@@ -11,16 +11,14 @@ from ...settings import Estimation
 from ...types import Array, Estimate, Features
 from ..inference import adjoint
 from ..inference.convergence import RESTING, SWEEPS, DidNotConverge, sure
-from ..inference.filter_records import Readings
-from ..inference.folds import Fold, fold_for
+from ..inference.folded_readings import folded_readings
+from ..inference.folds import fold_for
 from ..inference.gauss_newton import far, initial_sweep
-from ..inference.initial_path import handed_over, starts
-from ..inference.knot_problem import full
-from ..inference.leave_one_out import free_energy, left_out, outliers, without
+from ..inference.initial_path import handed_over
+from ..inference.leave_one_out import Judged, free_energy, left_out, outliers, without
 from ..inference.problem import Problem
-from ..inference.scan import Trace, rescan
-from ..inference.solution import Path, Smooth, Solution
-from ..inference.tangents import Tangents
+from ..inference.scan import scan
+from ..inference.solution import Smooth, Solution
 from ..inference.walk import walk
 from ..noise.correlated_noise import WHOLE
 from . import results
@@ -28,8 +26,8 @@ from .filtering import drifts, gathered, kept, lost, settled, shown, tuned
 from .results import Beliefs
 
 TURNS = 2
-"""Most backward passes per forward pass, of which they cost a quarter."""
-LASTING = 1e-6
+"""Backward passes per forward pass: the first finds the stretches' ends, the second starts from them."""
+LASTING = 1e-5
 """Standard deviations: tolerance on a stretch's start and end."""
 
 
@@ -37,14 +35,14 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     """Smoothed belief at each output time, given the whole log."""
     start_problem, faults = gathered(features, body, settings)
 
-    def solved(problem: Problem) -> tuple[Problem, Smooth]:
+    def solved(problem: Problem) -> tuple[Problem, Judged]:
         problem, warm = tuned(problem, settings)
         solver = (lambda posed, _: once(posed)) if problem.stepwise else solve
         problem, smooth = settled(problem, warm, settings, solver, once)
         return problem, judged(problem, smooth)
 
     problem, smooth = kept(start_problem, solved)
-    found = left_out(problem, smooth)
+    found = smooth.left_out
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
     z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov)[:, :m, :m], problem.held)
     errors = np.full((*problem.timeline.t.shape, m), np.nan)
@@ -57,16 +55,16 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
 
 
-def judged(problem: Problem, smooth: Smooth) -> Smooth:
+def judged(problem: Problem, smooth: Smooth) -> Judged:
     """The smoothed log without outliers, which hindsight finds in place of the gate of the forward pass.
 
     An outlier that the filter believes makes it reject the next readings. Here outliers are the readings that all
     others contradict; they are found again until they stay the same. Otherwise the gated solution is kept.
     """
-    found = left_out(problem, smooth)
-    removed = outliers(found)
+    gated = Judged.of(smooth, left_out(problem, smooth))
+    found, removed = gated.left_out, outliers(gated.left_out)
     if problem.stepwise or not (found.gated or any(far.any() for far in removed)):
-        return smooth
+        return gated
     for _ in range(SWEEPS):
         try:
             path = solve(without(problem, removed))
@@ -75,70 +73,40 @@ def judged(problem: Problem, smooth: Smooth) -> Smooth:
         found, before = left_out(problem, path), removed
         removed = outliers(found)
         if all(map(np.array_equal, removed, before)):
-            return path
-    return smooth
+            return Judged.of(path, found)
+    return gated
 
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
-    """The maximum a posteriori path, first at the knots, then at all instants; or DidNotConverge."""
-    knots, tangents, z, p = initial_sweep(problem, warm)
+    """The maximum a posteriori path; or DidNotConverge. Without `warm` the first round only filters."""
+    fold, dynamics = fold_for(len(problem.timeline.t)), problem.dynamics
+    tangents, z, p = initial_sweep(problem, fold, warm)
     tangents.resting, tangents.share = RESTING * LASTING, WHOLE
-    first = _rounds(knots.problem, knots.fold, knots.readings, tangents, z, p, np.zeros_like(z), LASTING, warm is None)
-    fold = fold_for(len(problem.timeline.t))
-    lasts = np.searchsorted(knots.events, fold.lasts())
-    z, p = starts(problem, fold, first, lasts)
-    ends = np.zeros_like(z)
-    ends[:, :-1] = knots.fold.pick(first.after, lasts).T
-    # a looser tolerance, so that residues of the knots' solution do not trigger full rounds
-    path = _rounds(problem, fold, full(problem, fold), tangents, z, p, ends, 2.0 * LASTING)
-    return Smooth(
-        fold, path.readings, tangents, path.trace, path.z, path.after,
-        adjoint.covariances(path.readings, path.trace, problem.dynamics), knots=(knots, first),
-    )  # fmt: skip
-
-
-def _rounds(
-    problem: Problem, fold: Fold, readings: Readings, tangents: Tangents, z: Array, p: Array, ends: Array,
-    lasting: float, forth: bool = False,
-) -> Path:  # fmt: skip
-    """Rounds from starts z (K,C), p (K,K,C) and ends (K,C) until convergence; `forth`: the first one only filters."""
+    readings, trace, back, ends, rest = folded_readings(problem, fold), None, None, np.zeros_like(z), np.inf
     tangents.write(problem, fold, readings)
-    trace, back, moving, rest = None, None, np.ones(fold.count, bool), np.inf
     for sweep in range(SWEEPS):
-        moving |= tangents.draw(problem, fold, readings)
-        if trace is not None and back is not None and rest < lasting and not moving.any():
-            return Path(fold, readings, tangents, trace, *back)
-        trace = rescan(readings, problem.dynamics, z, p, moving, trace, remember=True)
-        next_z, next_p = handed_over(z, p, trace.z[-1], trace.p[-1])
-        moves = far(z, p, next_z, next_p)
-        moving, rest = moves >= lasting, sure(float(moves.max()))
-        z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
-        if sweep or not forth:
-            back, ends, pulled = _back(readings, trace, ends, p, rest, problem.precision.order)
+        moved = tangents.draw(problem, fold, readings)
+        if trace is not None and back is not None and rest < LASTING and not moved:
+            cov = adjoint.covariances(readings, trace, dynamics)
+            return Smooth(fold, readings, tangents, trace, back, cov)
+        trace = scan(readings, dynamics, z, p, remember=True, into=trace)
+        next_z, next_p = handed_over(z, p, trace.z[-1], trace.end_p)
+        z, p, rest = next_z, next_p, sure(far(z, p, next_z, next_p))
+        if sweep or warm is not None:
+            for _ in range(TURNS):
+                back, at_start = adjoint.smoothed(readings, trace, ends, dynamics)
+                pulled, ends = _pulled(adjoint.before(at_start) - ends, p), adjoint.before(at_start)
             rest = max(rest, pulled)
-        tangents.follow(problem, fold, trace.z if back is None else back[0])
+        tangents.follow(problem, fold, trace.z if back is None else back)
     raise DidNotConverge(f"smoother: no rest after {SWEEPS} sweeps, last move {rest:.2g}")
-
-
-def _back(
-    readings: Readings, trace: Trace, ends: Array, p: Array, rest: float, order: int
-) -> tuple[tuple[Array, Array], Array, float]:
-    """Smoothed state and adjoints (L,K,C), ends (K,C), iterated while ends move more than starts; their last move."""
-    for _ in range(TURNS):
-        after, at_start = adjoint.adjoints(readings, trace, ends, order)
-        pulled, ends = _pulled(adjoint.before(at_start) - ends, p), adjoint.before(at_start)
-        if pulled <= max(rest, LASTING):
-            break
-    return (adjoint.means(trace, after), after), ends, pulled
 
 
 def once(problem: Problem) -> Smooth:
     """Smooth once along the filter's own tangents, as a fallback without convergence."""
-    solution, k, order = walk(problem, remember=True), problem.dynamics.size, problem.precision.order
-    after, _ = adjoint.adjoints(solution.readings, solution.trace, np.zeros((k, 1)), order)
-    smooth = adjoint.means(solution.trace, after)
-    cov = adjoint.covariances(solution.readings, solution.trace, problem.dynamics)
-    return Smooth(solution.fold, solution.readings, solution.tangents, solution.trace, smooth, after, cov)
+    solution, dynamics = walk(problem, remember=True), problem.dynamics
+    smooth, _ = adjoint.smoothed(solution.readings, solution.trace, np.zeros((dynamics.size, 1)), dynamics)
+    cov = adjoint.covariances(solution.readings, solution.trace, dynamics)
+    return Smooth(solution.fold, solution.readings, solution.tangents, solution.trace, smooth, cov)
 
 
 def _pulled(adjoint_moved: Array, p: Array) -> float:

@@ -1,14 +1,13 @@
 """Encoder noise and process noise of each joint, for white acceleration or jerk, by the evidence of its readings."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from ...types import Array
-from ..inference.filter_records import GATE
-from ..measurements.long_arrays import median, median_step
+from ..inference.gate import GATE
+from ..measurements.long_arrays import median, median_step, rows
 from ..measurements.records import Encoders
 from .encoder_evidence import evidence
 from .quantisation import dithered, shared_variance
@@ -18,13 +17,12 @@ SPACING = 0.01
 """s: closer readings are averaged, because a short stretch shows no acceleration."""
 MOST = 6000
 """Most averages used, from the middle of the log: more would not sharpen two numbers per joint."""
-STRETCH = 256
-"""Averages per stretch, all stretches being filtered in parallel, each warmed up by the one before; and twice the
-longest memory tried. A vague start would count against white jerk, which takes longer to settle. Of 180 joints at rest
-for 12 to 60 s, stretches of 128, 256 and 384 give 39, 4 and 1 % a process density above the `floor`; logs of motion
-have the same errors with 128 and 256."""
-TRIED = 45
-"""Memories tried, four per octave; a parabola through the best of them is exact enough for the evidence."""
+LONGEST = 128
+"""Averages: longest memory tried. With 64, of 180 joints at rest for 12 to 60 s 39 % got a process density above the
+`floor`; with 128, 4 %; logs of motion have the same errors with both."""
+COARSE, FINE = 2.0 ** -np.linspace(0.0, 11.0, 16), 2.0 ** np.linspace(0.7, -0.7, 8)
+"""Memories tried over the longest; then, over the best of these. A parabola through the best three is exact to .05 in
+the logarithm of the density."""
 FEWEST = 30
 """Readings of a joint that are too few to learn its noise."""
 BREAK = 10.0
@@ -46,31 +44,58 @@ class Learned:
     evidence: float
 
 
-def learn(encoders: Encoders, encoder: Array, process: Array, order: int = 2, known: Array | None = None) -> Learned:
+class Series(NamedTuple):
+    """A joint's readings, dithered, as means y (N,) rad at times t (N,) s of `each` of them, and where filters restart.
+
+    added, least: variances (rad²) of the dither and, at least, of a reading · repeated: factor on the variance of
+    readings of a joint that are too few or constant, whose y is None.
+    """
+
+    t: Array
+    y: Array | None
+    fresh: Array
+    each: int = 1
+    added: float = 0.0
+    least: float = 0.0
+    repeated: float = 1.0
+
+
+def series(encoders: Encoders) -> list[Series]:
+    """The readings of each joint in the middle of the log."""
+    return [
+        _of_joint(encoders.t[known], column[known])
+        for column in encoders.values.T
+        for known in [rows(np.isfinite(column))]
+    ]
+
+
+def _of_joint(t: Array, y: Array) -> Series:
+    most = MOST * per_average(t)
+    begin = max(0, (len(t) - most) // 2)
+    t, y = t[begin : begin + most], y[begin : begin + most]
+    if len(t) <= FEWEST or np.ptp(y) == 0.0:
+        return Series(t, None, t, repeated=shared_variance(t, y) if len(t) else 1.0)
+    spread, added, least = dithered(t, y)
+    averages, each = _averages(t, spread)
+    return Series(*averages, each, added, least)
+
+
+def learn(
+    joints: list[Series], encoder: Array, process: Array, order: int = 2, known: Array | None = None
+) -> Learned:  # fmt: skip
     """Learn encoder variances and process densities by evidence; a joint with few readings keeps the given ones.
 
     Quantised readings are dithered over their step, whose variance is the least.
     known (M,) rad²: variances of the dithered readings, for which only process densities are learned.
     """
-    encoder, found, process, joints, nats = encoder.copy(), encoder.copy(), process.copy(), list[int](), 0.0
-    series, coarse = list[tuple[Array, Array]](), list[list[float]]()
-    for joint, column in enumerate(encoders.values.T):
-        rows = np.flatnonzero(np.isfinite(column))
-        most = MOST * _fellows(encoders.t[rows])
-        begin = max(0, (len(rows) - most) // 2)
-        rows = rows[begin : begin + most]
-        if len(rows) > FEWEST and np.ptp(column[rows]) > 0.0:
-            joints.append(joint)
-            spread, *own = dithered(encoders.t[rows], column[rows])
-            series.append((encoders.t[rows], spread))
-            coarse.append(own)
-        elif len(rows) and known is None:
-            encoder[joint] *= shared_variance(encoders.t[rows], column[rows])
-    if joints:
-        added, least = np.transpose(coarse)
-        found[joints], process[joints], won = likeliest(series, order, None if known is None else known[joints])
-        nats = float(won.sum())
-        encoder[joints] = np.maximum(found[joints] - added, least)
+    encoder, found, process, nats = encoder.copy(), encoder.copy(), process.copy(), 0.0
+    for joint, one in enumerate(joints):
+        if one.y is not None:
+            given = None if known is None else float(known[joint])
+            found[joint], process[joint], own = likeliest((one.t, one.y, one.fresh), one.each, order, given)
+            encoder[joint], nats = max(found[joint] - one.added, one.least), nats + own
+        elif known is None:
+            encoder[joint] *= one.repeated
     return Learned(order, encoder, found, process, nats)
 
 
@@ -79,12 +104,12 @@ def followable(encoders: Encoders, encoder: Array, process: Array, order: int) -
 
     Joints with few readings keep theirs.
     """
-    known, process = np.isfinite(encoders.values), process.copy()
-    joints = np.flatnonzero(known.sum(axis=0) > FEWEST)
-    if len(joints):
-        series = [(encoders.t[known[:, joint]], encoders.values[known[:, joint], joint]) for joint in joints]
-        (folded, fellows, _), noise = _averages(series), encoder[joints]
-        process[joints] = noise * _followed_by(folded, process[joints] / noise, noise / fellows, order)
+    process = process.copy()
+    for joint, column in enumerate(encoders.values.T):
+        known = np.isfinite(column)
+        if known.sum() > FEWEST:
+            (series, each), noise = _averages(encoders.t[known], column[known]), encoder[joint]
+            process[joint] = noise * _followed_by(series, process[joint] / noise, noise / each, order)
     return process
 
 
@@ -95,77 +120,60 @@ def floor(t: Array, encoder: Array, order: int) -> Array:
 
 
 def likeliest(
-    series: list[tuple[Array, Array]], order: int = 2, known: Array | None = None
-) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Noise variances, unless `known`, and densities (M,) of most evidence (M,) of each joint's times and readings."""
-    folded, fellows, step = _averages(series)
-    # a ratio of 1 per average has a memory of one average
-    per_average = (0.5 * STRETCH) ** (-2 * order) * 2.0 ** (0.5 * order * np.arange(TRIED))
-    ratios = per_average[:, None] / step ** (2 * order - 1)
-    score, noise, lag = evidence(*folded, ratios, order, None if known is None else known / fellows)
+    series: tuple[Array, Array, Array], each: int, order: int = 2, known: float | None = None
+) -> tuple[float, float, float]:
+    """Noise variance, unless `known`, and density of most evidence of means of `each` readings; that evidence."""
+    step, own, memory = median_step(series[0]), None if known is None else known / each, float(LONGEST)
+    for around in (COARSE, FINE):
+        memories = memory * around
+        # a ratio of 1 per average has a memory of one average
+        ratios = memories ** (-2 * order) / step ** (2 * order - 1)
+        score, noise, lag = evidence(*series, ratios, order, own)
+        memory = float(memories[score.argmax()])
     ratio, variance, nats = _peak(ratios, score, noise)
-    if (lag[score.argmax(axis=0), np.arange(len(series))] > GATE).any():
-        ratio = _followed_by(folded, ratio, variance, order)
-    return variance * fellows, variance * ratio, nats
+    if lag[score.argmax()] > GATE:
+        ratio = _followed_by(series, ratio, variance, order)
+    return variance * each, variance * ratio, nats
 
 
-def _followed_by(folded: tuple[Array, Array, Array], ratio: Array, variance: Array, order: int) -> Array:
-    """Ratios (M,), doubled until a filter of noise variance (M,) keeps up with all motion."""
-    raised = ratio * 2.0 ** np.arange(24)[:, None]
-    _, noise, lag = evidence(*folded, raised, order)
-    off = lag * np.sqrt(noise / variance)
-    keeps: Array = np.asarray(off <= GATE)
-    return np.asarray(raised[np.where(keeps.any(axis=0), keeps.argmax(axis=0), len(raised) - 1), np.arange(len(ratio))])
+def _followed_by(series: tuple[Array, Array, Array], ratio: float, variance: float, order: int) -> float:
+    """The ratio, doubled until a filter of a noise variance keeps up with all motion."""
+    raised = ratio * 2.0 ** np.arange(24)
+    _, noise, lag = evidence(*series, raised, order)
+    keeps = lag * np.sqrt(noise / variance) <= GATE
+    return float(raised[keeps.argmax() if keeps.any() else -1])
 
 
-def _peak(ratios: Array, score: Array, noise: Array) -> tuple[Array, Array, Array]:
-    """Ratios, noise and score (M,) at the greatest score (R,M), by parabolas through the best three."""
-    at, each = np.clip(score.argmax(axis=0), 1, len(ratios) - 2), np.arange(ratios.shape[1])
-    before, best, after = (np.stack([np.log(ratios), score, np.log(noise)])[:, at + side, each] for side in (-1, 0, 1))
+def _peak(ratios: Array, score: Array, noise: Array) -> tuple[float, float, float]:
+    """Ratio, noise and score at the greatest score (R,), by parabolas through the best three."""
+    at = int(np.clip(score.argmax(), 1, len(ratios) - 2))
+    before, best, after = np.stack([np.log(ratios), score, np.log(noise)], axis=1)[at - 1 : at + 2]
     slope, bend = 0.5 * (after - before), before - 2.0 * best + after
-    shift = np.clip(-slope[1] / np.minimum(bend[1], -np.finfo(float).tiny), -1.0, 1.0)
+    shift = np.clip(-slope[1] / min(bend[1], -np.finfo(float).tiny), -1.0, 1.0)
     ratio, peak, variance = best + shift * slope + 0.5 * shift**2 * bend
-    return np.exp(ratio), np.exp(variance), peak
+    return float(np.exp(ratio)), float(np.exp(variance)), float(peak)
 
 
-def _fellows(t: Array) -> int:
+def per_average(t: Array) -> int:
     """Readings per average."""
     step = median_step(t) if len(t) > 1 else SPACING
     return max(1, min(round(SPACING / max(step, 1e-9)), len(t) // FEWEST))
 
 
-def _averages(series: list[tuple[Array, Array]]) -> tuple[tuple[Array, Array, Array], Array, Array]:
-    """Averages of each joint's readings, side by side; readings (M,) per average, and the time (M,) s between them."""
-    fellows = np.array([_fellows(t) for t, _ in series])
-    means = [_averaged(t, y, k) for (t, y), k in zip(series, fellows, strict=True)]
-    return _side_by_side(means), fellows, np.array([median_step(t) for t, *_ in means])
+def _averages(t: Array, y: Array) -> tuple[tuple[Array, Array, Array], int]:
+    """Means (N,) of times and of readings, where the filter restarts, at and after a mean with a break; how many each.
 
-
-def _averaged(t: Array, y: Array, fellows: int) -> tuple[Array, Array, Array]:
-    """Means (N,) of times and of readings, and where the filter restarts: at and after a mean with a break."""
-    whole = len(t) // fellows * fellows
+    Readings are averaged as far as a short stretch shows no acceleration.
+    """
+    each = per_average(t)
+    whole = len(t) // each * each
     broken = _breaks(t, y)
-    t, y = (a[:whole].reshape(-1, fellows).mean(axis=1) for a in (t, y))
-    if fellows > 1:
-        broken = np.asarray(broken[:whole].reshape(-1, fellows).any(axis=1))
+    t, y = (a[:whole].reshape(-1, each).mean(axis=1) for a in (t, y))
+    if each > 1:
+        broken = np.asarray(broken[:whole].reshape(-1, each).any(axis=1))
         broken[1:] |= broken[:-1]
         broken |= _breaks(t, y)
-    return t, y, broken
-
-
-def _side_by_side(series: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
-    """Time steps, readings (NaN after the last) and restarts, folded: (L,M,C) each; stretches follow the one before."""
-    most = max(len(t) for t, *_ in series)
-    length = STRETCH * max(2, -(-most // STRETCH))
-
-    def folded(columns: Sequence[Array], after: float) -> Array:
-        padded = [np.pad(column, (0, length - len(column)), constant_values=after) for column in columns]
-        pairs = sliding_window_view(np.stack(padded, axis=1), 2 * STRETCH, axis=0)[::STRETCH]
-        return np.ascontiguousarray(pairs.transpose(2, 1, 0))
-
-    times, readings, breaks = zip(*series, strict=True)
-    steps = [np.diff(t, prepend=t[0]) for t in times]
-    return folded(steps, 0.0), folded(readings, np.nan), folded(breaks, False)
+    return (t, y, broken), each
 
 
 def _breaks(t: Array, y: Array) -> Array:

@@ -7,8 +7,7 @@ import numpy as np
 
 from ...types import Array, Hypothesis
 from ..faults.threshold import NATS
-from ..inference.gauss_newton import solve_knots
-from ..inference.knot_problem import KnotProblem
+from ..inference.gauss_newton import solve
 from ..inference.problem import Problem
 from ..inference.reacquisition import left_open, silent
 from ..inference.scan import scan
@@ -17,13 +16,15 @@ from ..measurements.long_arrays import median_step, seen
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import timeline
 from .correlated_noise import steady_variance
-from .encoder_noise import FEWEST, floor, followable
+from .encoder_noise import FEWEST, floor, followable, per_average
 from .noise_model import NoiseModel
 from .smoother_process import least, side_by_side
 from .visibility import View, views, visual
 
 MOST = 1000
 """Most images of a track used, from the middle of the log."""
+AVERAGES = 10 * MOST
+"""Most averages of encoder readings used: 100 s at 100 Hz."""
 ROUGHLY = 1e-2
 """Standard deviations: tolerance on starts for comparing a solution's evidence."""
 NEARLY = 0.25
@@ -62,22 +63,23 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
 
     Also the last solution as a warm start, if it covers the whole log.
     """
-    part = middle(determined(replace(problem, precision=replace(problem.precision, fewer={}))))
+    whole_part = middle(determined(replace(problem, precision=replace(problem.precision, fewer={}))))
+    part = thinned(whole_part)
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and seen(s.values).sum() > FEWEST]
     if not names and not whole:
         return problem.precision, None
-    solved = solve_knots(part, None, "posterior", NEARLY)
+    solved = solve(part, rest=NEARLY)
     for half in ROUNDS if names else ():
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
         nats, solved = costs(part, solved, np.exp(candidates), names)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
-    warm = replace(solved[1], knots=solved) if part.timeline is problem.timeline else None
+    warm = solved if part.timeline is problem.timeline else None
     if whole:
-        likeliest = _of_filter(problem, part, solved[1]).process
-        return replace(_of_smoother(part, solved), likeliest=likeliest), warm
+        likeliest = _of_filter(problem, part, solved).process
+        return replace(_of_smoother(part, solved, whole_part.evidence.encoders), likeliest=likeliest), warm
     fewer = {view: _of_filter(problem, *_with_view(part, view)).process for view in _less(problem)}
-    return replace(_of_filter(problem, part, solved[1]), fewer=fewer), warm
+    return replace(_of_filter(problem, part, solved), fewer=fewer), warm
 
 
 def _less(problem: Problem) -> list[View]:
@@ -91,12 +93,12 @@ def _less(problem: Problem) -> list[View]:
 def _with_view(part: Problem, view: View) -> tuple[Problem, Solution]:
     """The part with only these of its tracks, and its solution."""
     less = _measured(part, part.evidence.encoders, [s for s in part.evidence.sightings if s.name in view])
-    return less, solve_knots(less, None, "posterior", NEARLY)[1]
+    return less, solve(less, rest=NEARLY)
 
 
-def _of_smoother(part: Problem, solved: tuple[KnotProblem, Solution]) -> NoiseModel:
+def _of_smoother(part: Problem, solved: Solution, encoders: Encoders | None) -> NoiseModel:
     """A smoother's noise model, whose forward pass stays within the gate, with the share of its covariance to state."""
-    encoders, precision = part.evidence.encoders, part.precision
+    precision = part.precision
     if encoders is None:
         process, stated = least(part, solved)
         return replace(precision, process=process, stated=stated)
@@ -119,7 +121,7 @@ def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
     if encoders is None or len(encoders.t) < 2:
         return replace(part.precision, process=0.5 * (alone + part.precision.process))
     density = precision.encoder * median_step(encoders.t)
-    together = np.sqrt(solved.fold.unfold(np.einsum("liic->lic", solved.trace.p[:, :m, :m]))).mean(axis=0)
+    together = np.sqrt(solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))).mean(axis=0)
     unknown, white = (
         np.minimum(together**2 / steady_variance(density, process, precision.order), 1.0)
         for process in (precision.process, part.precision.process)
@@ -148,44 +150,65 @@ def _step(nats: Array, half: float) -> Array:
     return np.where(bend > 0, np.clip(newton, -2.0 * half, 2.0 * half), downhill)
 
 
-def costs(
-    part: Problem, solved: tuple[KnotProblem, Solution], candidates: Array, names: list[str]
-) -> tuple[Array, tuple[KnotProblem, Solution]]:
+def costs(part: Problem, solved: Solution, candidates: Array, names: list[str]) -> tuple[Array, Solution]:
     """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors.
 
     Stretches start where those of `solved` ended. Also the first candidate's solution.
     """
-    (knots, first), g, m = solved, len(candidates), len(part.start)
-    few, readings, fold = replace(part, timeline=knots.problem.timeline), knots.readings, knots.fold
-    first.tangents.draw(few, fold, readings)
+    readings, fold, g, m = solved.readings, solved.fold, len(candidates), len(part.start)
+    solved.tangents.draw(part, fold, readings)
     var = np.repeat(readings.var[..., None], g, axis=-1)
-    for index, (sighting, events) in enumerate(zip(part.evidence.sightings, few.timeline.sightings, strict=True)):
+    for index, (sighting, events) in enumerate(zip(part.evidence.sightings, part.timeline.sightings, strict=True)):
         if sighting.name in names:
             pixels = np.zeros_like(readings.var[:, index])
             fold.put(pixels[:, : sighting.var.shape[1]], events, sighting.independent.var)
             more = candidates[:, m + names.index(sighting.name)] - part.precision.scale[sighting.name]
             # a lasting error counts less than its variance in a filter's extrapolation
             var[:, index] += np.minimum(pixels, readings.var[:, index])[..., None] * more
-    trace = scan(*side_by_side(few, solved, candidates[:, :m].T, var), every=g)
+    trace = scan(*side_by_side(part, solved, candidates[:, :m].T, var), every=g)
     own = replace(trace, nats=trace.nats[:, ::g])
-    return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), (knots, replace(first, trace=own))
+    return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), replace(solved, trace=own)
 
 
 def middle(problem: Problem) -> Problem:
-    """The middle of the log, with at most MOST images of any track."""
+    """The middle of the log, with at most MOST images of any track and AVERAGES of encoder readings."""
     evidence, found = problem.evidence, problem.evidence.encoders
-    t = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
-    if len(t) <= MOST:
+    seen_at = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
+    read_at = np.empty(0) if found is None else found.t
+    limits = (seen_at, MOST), (read_at, AVERAGES * per_average(read_at))
+    spans = [_span(times, most) for times, most in limits if len(times) > most]
+    if not spans:
         return problem
-    begin = (len(t) - MOST) // 2
-    low, high = t[begin], t[begin + MOST - 1]
+    low, high = max(begin for begin, _ in spans), min(end for _, end in spans)
     sightings = [_cut_sighting(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings]
     if found is None:
         return _measured(problem, None, sightings)
-    rows, start = (found.t >= low) & (found.t <= high), found.at(t[begin : begin + 1])[0]
+    rows, start = (found.t >= low) & (found.t <= high), found.at(np.array([low]))[0]
     relative = None if found.relative is None else found.relative[rows]
     encoders = Encoders(found.t[rows], found.values[rows], found.source_ns[rows], relative)
     return replace(_measured(problem, encoders, sightings), start=np.where(np.isfinite(start), start, problem.start))
+
+
+def _span(t: Array, most: int) -> tuple[float, float]:
+    """First and last time of the `most` in the middle of t (N,) s."""
+    begin = (len(t) - most) // 2
+    return float(t[begin]), float(t[begin + most - 1])
+
+
+def thinned(problem: Problem) -> Problem:
+    """The problem with close encoder readings averaged, if all encoders are read together."""
+    found = problem.evidence.encoders
+    each = 1 if found is None or np.isnan(found.values).any() else per_average(found.t)
+    if found is None or each == 1:
+        return problem
+    whole, joints = len(found.t) // each * each, found.values.shape[1]
+    weights = np.ones((whole, joints)) if found.relative is None else 1.0 / found.relative[:whole]
+    weights, values = (a[:whole].reshape(-1, each, joints) for a in (weights, found.values))
+    total, t = weights.sum(axis=1), found.t[:whole].reshape(-1, each).mean(axis=1)
+    encoders = Encoders(
+        t, (weights * values).sum(axis=1) / total, found.source_ns[each - 1 : whole : each], 1.0 / total
+    )
+    return _measured(problem, encoders, problem.evidence.sightings)
 
 
 def determined(problem: Problem) -> Problem:

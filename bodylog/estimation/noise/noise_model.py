@@ -87,8 +87,9 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseM
     if evidence.encoders is None:
         return NoiseModel(encoder, process, None, scale, near)
     # white acceleration may take noise for motion where an arm stands and moves by turns, white jerk does not
-    jerk = encoder_noise.learn(evidence.encoders, encoder, process, 3)
-    white = encoder_noise.learn(evidence.encoders, jerk.encoder, process, 2, jerk.dithered)
+    joints = encoder_noise.series(evidence.encoders)
+    jerk = encoder_noise.learn(joints, encoder, process, 3)
+    white = encoder_noise.learn(joints, jerk.encoder, process, 2, jerk.dithered)
     held = NoiseModel(white.encoder, process, None, scale, near).held(white.process, evidence.encoders)
     return replace(held, learned=(white, jerk))
 

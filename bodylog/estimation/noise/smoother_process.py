@@ -17,9 +17,8 @@ import numpy as np
 
 from ...types import Array
 from ..inference import adjoint
-from ..inference.filter_records import Dynamics, KnotReadings
+from ..inference.filter_records import Dynamics, Readings
 from ..inference.initial_path import handed_over, priors
-from ..inference.knot_problem import KnotProblem, tile
 from ..inference.problem import Problem
 from ..inference.scan import scan
 from ..inference.solution import Solution
@@ -66,7 +65,7 @@ def spectra(order: int) -> Spectra:
     return Spectra(step, powers, most, left, float(noise / v), float(whole(moved) / v))
 
 
-def least(part: Problem, solved: tuple[KnotProblem, Solution]) -> tuple[Array, float]:
+def least(part: Problem, solved: Solution) -> tuple[Array, float]:
     """Process variances (M,) of least error, as one factor on the problem's, and this error's share of V.
 
     `solved`: the solution of the filter.
@@ -74,7 +73,7 @@ def least(part: Problem, solved: tuple[KnotProblem, Solution]) -> tuple[Array, f
     known = spectra(part.precision.order)
     factors = known.step ** np.arange(-3.0, 3.0)
     paths, var = _paths(part, solved, factors)
-    present = _without_gaps(part, solved[0].problem.timeline.t)
+    present = _without_gaps(part, part.timeline.t)
     moves = np.square(np.diff(paths, axis=0))[:, present]
     moved = moves.mean(axis=1)
     # noise's share of it grows as q^(1/2n)
@@ -114,43 +113,42 @@ def _power(ratios: Array, known: Spectra) -> float:
     return float(np.clip(known.powers[0] * rate, known.powers[0], known.powers[-1]))
 
 
-def _paths(part: Problem, solved: tuple[KnotProblem, Solution], factors: Array) -> tuple[Array, Array]:
-    """Smoothed angles (G,E,M) of the knots for each factor, with the tangents of `solved`; and V there.
+def _paths(part: Problem, solved: Solution, factors: Array) -> tuple[Array, Array]:
+    """Smoothed angles (G,E,M) for each factor, with the tangents of `solved`; and V there.
 
     A steady smoother has 1/2n of its filter's variance.
     """
-    (knots, first), g, m = solved, len(factors), len(part.start)
-    few, fold = replace(part, timeline=knots.problem.timeline), knots.fold
-    first.tangents.draw(few, fold, knots.readings)
+    fold, readings, g, m = solved.fold, solved.readings, len(factors), len(part.start)
+    solved.tangents.draw(part, fold, readings)
     processes = part.precision.process[:, None] * factors
     share = spectra(part.precision.order).noise
     precisions = [replace(part.precision, process=process, stated=share) for process in processes.T]
-    var = [first.tangents.weighed(replace(few, precision=p), fold, knots.readings, WHOLE) for p in precisions]
-    tiled, dynamics, z, p = side_by_side(few, solved, processes, np.stack(var, axis=-1))
+    var = [solved.tangents.weighed(replace(part, precision=p), fold, readings, WHOLE) for p in precisions]
+    tiled, dynamics, z, p = side_by_side(part, solved, processes, np.stack(var, axis=-1))
     trace = None
     for _ in range(TURNS):
         trace = scan(tiled, dynamics, z, p, remember=True, into=trace)
-        z[:, g:], p[:, :, g:] = trace.z[-1][:, :-g], trace.p[-1][:, :, :-g]
+        z[:, g:], p[:, :, g:] = trace.z[-1][:, :-g], trace.end_p[:, :, :-g]
     assert trace is not None
     ends = np.zeros_like(z)
     for _ in range(TURNS):
-        after, start = adjoint.adjoints(tiled, trace, ends, dynamics.order)
+        smooth, start = adjoint.smoothed(tiled, trace, ends, dynamics)
         ends[:, :-g] = start[:, g:]
-    x, var = adjoint.means(trace, after)[:, :m], 0.5 / dynamics.order * np.einsum("liic->lic", trace.p[:, :m, :m])
+    x, var = smooth[:, :m], 0.5 / dynamics.order * np.einsum("liic->lic", trace.cov[:, :m, :m])
     tiles = np.stack([x, var]).reshape(2, fold.length, m, fold.count, g)
     paths, variances = (np.stack([fold.unfold(part[..., k]) for k in range(g)]) for part in tiles)
     return paths, variances
 
 
 def side_by_side(
-    few: Problem, solved: tuple[KnotProblem, Solution], processes: Array, var: Array
-) -> tuple[KnotReadings, Dynamics, Array, Array]:
+    part: Problem, solved: Solution, processes: Array, var: Array
+) -> tuple[Readings, Dynamics, Array, Array]:
     """What `scan` takes for candidates of process variances (M,G) and variances of frames (L,T,D,C,G).
 
-    few: the problem at the knots of `solved`, where whose stretches ended they start.
+    Their stretches start where those of `solved` ended.
     """
-    (knots, first), g = solved, processes.shape[1]
-    dynamics = replace(few.dynamics, process=np.tile(processes, knots.fold.count))
-    starts = handed_over(*priors(few, knots.fold), first.trace.z[-1], first.trace.p[-1])
+    g, fold = processes.shape[1], solved.fold
+    dynamics = replace(part.dynamics, process=np.tile(processes, fold.count))
+    starts = handed_over(*priors(part, fold), solved.trace.z[-1], solved.trace.end_p)
     z, p = (np.repeat(part, g, axis=-1) for part in starts)
-    return tile(knots, var, processes), dynamics, z, p
+    return replace(solved.readings, var=var.reshape(*var.shape[:-2], var.shape[-2] * g)), dynamics, z, p

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array
-from ..inference.filter_records import GATE
+from ..inference.gate import GATE
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import union
 

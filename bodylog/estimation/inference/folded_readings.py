@@ -1,0 +1,68 @@
+"""A log's readings, folded into stretches for the filter."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...types import Array
+from .filter_records import Readings
+from .folds import Fold
+from .motion import moves
+
+if TYPE_CHECKING:
+    from .problem import Problem
+
+
+def folded_readings(problem: "Problem", fold: Fold, held: Array | None = None) -> Readings:
+    """Readings of all instants, folded, without the frames' tangents; held (E,M) bool: joints silent for long."""
+    more, held = None if problem.more is None else fold.fold(problem.more, 1.0), problem.held if held is None else held
+    parts = _parts(problem, fold, *encoder_rows(problem))
+    found = Readings(*parts, reset=_forgotten(problem, fold), more=more, gate=problem.gate)
+    if held is None or problem.stationary is None or not held.any():
+        return found
+    dt = np.diff(problem.timeline.t, prepend=problem.timeline.t[0])
+    move, shift, noise = moves(problem.dynamics, dt, held)
+    others = np.where(held, 0.0, np.nan)  # these move by dt, with the process of a candidate
+    rows, columns = others[:, None], others[:, None, None]
+    leaps = fold.fold(move + columns, np.nan), fold.fold(shift + rows, np.nan), fold.fold(noise + columns, np.nan)
+    return replace(found, moves=leaps)
+
+
+def _forgotten(problem: "Problem", fold: Fold) -> Array | None:
+    """Joints (L,M,C) bool that restart from a wide prior at an instant; None if none does."""
+    events, joints = problem.resets_at(problem.timeline.t)
+    if not len(events):
+        return None
+    reset = np.zeros((fold.length, len(problem.start), fold.count), bool)
+    fold.put(reset, events, joints)
+    return reset
+
+
+def _parts(
+    problem: "Problem", fold: Fold, values: Array, values_var: Array
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """The parts of `Readings`: encoder rows (E,M) with variances, and room for the frames."""
+    line, m = problem.timeline, len(problem.start)
+    sizes = [sighting.values.shape[1] for sighting in problem.evidence.sightings]
+    shape = (fold.length, len(sizes), max(sizes, default=2))
+    y, var = np.full((*shape, fold.count), np.nan), np.ones((*shape, fold.count))
+    jac = np.zeros((*shape, m, fold.count))
+    dt = fold.fold(np.diff(line.t, prepend=line.t[0]), 0.0)
+    return dt, fold.fold(values, np.nan), fold.fold(values_var, 1.0), y, jac, var
+
+
+def encoder_rows(problem: "Problem", until: int | None = None) -> tuple[Array, Array]:
+    """Readings (E,M) rad, NaN where silent, and variances (E,M); the posture prior for joints without an encoder.
+
+    Only of the first `until` instants, if given.
+    """
+    t, at = problem.timeline.t[:until], problem.timeline.encoders
+    encoders, found = np.full((len(t), len(problem.start)), np.nan), problem.evidence.encoders
+    var = np.tile(problem.precision.encoder, (len(t), 1))
+    if found is not None:
+        rows = int(np.searchsorted(at, len(t)))
+        encoders[at[:rows]] = found.values[:rows]
+        if found.relative is not None:
+            var[at[:rows]] *= found.relative[:rows]
+    return (encoders, var) if problem.posture_prior is None else problem.posture_prior.fill(t, encoders, var)

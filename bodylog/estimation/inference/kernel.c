@@ -1,1 +1,0 @@
-int kernel_version(void) { return 1; }
