@@ -25,6 +25,12 @@ class Timeline:
     outputs: Array
     source_ns: Array
 
+    @property
+    def images(self) -> Array:
+        """Instants (B,) with a frame of any sighting; all of them where there is none."""
+        seen = np.unique(np.concatenate([*self.sightings, np.empty(0, int)]))
+        return seen if len(seen) else np.arange(len(self.t))
+
 
 def timeline(evidence: Evidence, rate: float | None) -> Timeline:
     """Union of all stamps and output times; equal times are one instant, so simultaneous senses have no order."""

@@ -121,7 +121,8 @@ def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
     if encoders is None or len(encoders.t) < 2:
         return replace(part.precision, process=0.5 * (alone + part.precision.process))
     density = precision.encoder * median_step(encoders.t)
-    together = np.sqrt(solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))).mean(axis=0)
+    var = solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))[part.timeline.images]
+    together = np.sqrt(var).mean(axis=0)
     unknown, white = (
         np.minimum(together**2 / steady_variance(density, process, precision.order), 1.0)
         for process in (precision.process, part.precision.process)

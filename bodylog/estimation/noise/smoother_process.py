@@ -73,7 +73,7 @@ def least(part: Problem, solved: Solution) -> tuple[Array, float]:
     known = spectra(part.precision.order)
     factors = known.step ** np.arange(-3.0, 3.0)
     paths, var = _paths(part, solved, factors)
-    present = _without_gaps(part, part.timeline.t)
+    present = _without_gaps(part, part.timeline.t[part.timeline.images])
     moves = np.square(np.diff(paths, axis=0))[:, present]
     moved = moves.mean(axis=1)
     # noise's share of it grows as q^(1/2n)
@@ -114,7 +114,7 @@ def _power(ratios: Array, known: Spectra) -> float:
 
 
 def _paths(part: Problem, solved: Solution, factors: Array) -> tuple[Array, Array]:
-    """Smoothed angles (G,E,M) for each factor, with the tangents of `solved`; and V there.
+    """Smoothed angles (G,B,M) for each factor at the images, with the tangents of `solved`; and V there.
 
     A steady smoother has 1/2n of its filter's variance.
     """
@@ -136,7 +136,8 @@ def _paths(part: Problem, solved: Solution, factors: Array) -> tuple[Array, Arra
         ends[:, :-g] = start[:, g:]
     x, var = smooth[:, :m], 0.5 / dynamics.order * np.einsum("liic->lic", trace.cov[:, :m, :m])
     tiles = np.stack([x, var]).reshape(2, fold.length, m, fold.count, g)
-    paths, variances = (np.stack([fold.unfold(part[..., k]) for k in range(g)]) for part in tiles)
+    images = part.timeline.images
+    paths, variances = (np.stack([fold.unfold(tile[..., k])[images] for k in range(g)]) for tile in tiles)
     return paths, variances
 
 
