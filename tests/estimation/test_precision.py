@@ -9,6 +9,7 @@ import pytest
 from bodylog.estimation import estimate
 from bodylog.estimation.inference.motion import grow
 from bodylog.estimation.measurements.records import Encoders
+from bodylog.estimation.methods import filtering
 from bodylog.estimation.noise import encoder_evidence, encoder_noise, evidence_search, quantisation
 from bodylog.settings import Estimation
 from tests.estimation import conftest
@@ -205,3 +206,31 @@ def test_joints_at_rest_have_the_least_process_variance():
         noise, process = likeliest(t, y)
         more.append(process > encoder_noise.floor(t, noise, 2))
     assert np.sum(more) <= 2  # with stretches of half the length 12 of them
+
+
+@pytest.mark.parametrize("end", [2.0, 19.0])
+def test_noise_is_tuned_on_readings_beside_images(world, monkeypatch, end):
+    monkeypatch.setattr(evidence_search, "AVERAGES", 200)
+    drawn = world(0, duration=20.0)
+    track = drawn.features.tracks["effector"]
+    features = replace(drawn.features, tracks={"effector": _until(track, end)})
+    problem, _ = filtering.gathered(features, drawn.body, Estimation())
+    part = evidence_search.middle(problem)
+    assert len(part.evidence.encoders.t) <= 200
+    frames = part.evidence.sightings[0].t
+    # no image is left out beside the readings that are kept
+    kept = (track.t >= part.evidence.encoders.t[0]) & (track.t <= min(part.evidence.encoders.t[-1], end))
+    assert len(frames) == kept.sum() > 10
+
+
+@pytest.mark.parametrize("rows", [1, 5])
+def test_averages_of_close_readings_carry_their_noise(world, rows):
+    drawn = world(0, duration=6.0, encoder_hz=100.0 * rows)
+    problem, _ = filtering.gathered(drawn.features, drawn.body, Estimation())
+    few, all_of = evidence_search.thinned(problem).evidence.encoders, problem.evidence.encoders
+    assert len(few.t) == len(all_of.t) // rows
+    if rows == 1:
+        return
+    np.testing.assert_allclose(few.relative, 1.0 / rows)
+    np.testing.assert_allclose(few.values[0], all_of.values[:rows].mean(axis=0))
+    np.testing.assert_allclose(few.t[0], all_of.t[:rows].mean())

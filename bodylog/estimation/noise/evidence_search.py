@@ -63,8 +63,8 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
 
     Also the last solution as a warm start, if it covers the whole log.
     """
-    whole_part = middle(determined(replace(problem, precision=replace(problem.precision, fewer={}))))
-    part = thinned(whole_part)
+    log = middle(determined(replace(problem, precision=replace(problem.precision, fewer={}))))
+    part = thinned(log)
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and seen(s.values).sum() > FEWEST]
     if not names and not whole:
         return problem.precision, None
@@ -77,7 +77,7 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     warm = solved if part.timeline is problem.timeline else None
     if whole:
         likeliest = _of_filter(problem, part, solved).process
-        return replace(_of_smoother(part, solved, whole_part.evidence.encoders), likeliest=likeliest), warm
+        return replace(_of_smoother(part, solved, log.evidence.encoders), likeliest=likeliest), warm
     fewer = {view: _of_filter(problem, *_with_view(part, view)).process for view in _less(problem)}
     return replace(_of_filter(problem, part, solved), fewer=fewer), warm
 
@@ -172,15 +172,16 @@ def costs(part: Problem, solved: Solution, candidates: Array, names: list[str]) 
 
 
 def middle(problem: Problem) -> Problem:
-    """The middle of the log, with at most MOST images of any track and AVERAGES of encoder readings."""
+    """The middle of the log, with at most MOST images of any track and AVERAGES of encoder readings beside them."""
     evidence, found = problem.evidence, problem.evidence.encoders
     seen_at = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
     read_at = np.empty(0) if found is None else found.t
-    limits = (seen_at, MOST), (read_at, AVERAGES * per_average(read_at))
-    spans = [_span(times, most) for times, most in limits if len(times) > most]
-    if not spans:
+    most = AVERAGES * per_average(read_at)
+    if len(seen_at) <= MOST and len(read_at) <= most:
         return problem
-    low, high = max(begin for begin, _ in spans), min(end for _, end in spans)
+    low, high = _span(seen_at, MOST)
+    beside = read_at[(read_at >= low) & (read_at <= high)]
+    low, high = _span(beside, most) if len(beside) > most else (low, high)
     sightings = [_cut_sighting(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings]
     if found is None:
         return _measured(problem, None, sightings)
@@ -191,9 +192,9 @@ def middle(problem: Problem) -> Problem:
 
 
 def _span(t: Array, most: int) -> tuple[float, float]:
-    """First and last time of the `most` in the middle of t (N,) s."""
-    begin = (len(t) - most) // 2
-    return float(t[begin]), float(t[begin + most - 1])
+    """First and last time of at most `most` in the middle of t (N,) s; any time if N is 0."""
+    begin = max(0, (len(t) - most) // 2)
+    return (float(t[begin]), float(t[begin:][:most][-1])) if len(t) else (-np.inf, np.inf)
 
 
 def thinned(problem: Problem) -> Problem:
