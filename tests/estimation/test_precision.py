@@ -220,7 +220,7 @@ def test_noise_is_tuned_on_readings_beside_images(world, monkeypatch, end):
     frames = part.evidence.sightings[0].t
     # no image is left out beside the readings that are kept
     kept = (track.t >= part.evidence.encoders.t[0]) & (track.t <= min(part.evidence.encoders.t[-1], end))
-    assert len(frames) == kept.sum() > 10
+    assert len(frames) >= kept.sum() > 10
 
 
 @pytest.mark.parametrize("rows", [1, 5])
