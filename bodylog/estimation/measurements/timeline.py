@@ -13,6 +13,8 @@ FASTEST = 100.0
 """Hz: encoders faster than this are all used, but the output is on a grid of this rate."""
 INSTANTS, EACH = 300_000, 10.0
 """A grid of more instants than this, and of more per stamp than this, mostly covers silence and is refused."""
+APART = 25
+"""Instants without an image of which one stands for all, so that few images alone do not weigh a whole log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +29,12 @@ class Timeline:
 
     @property
     def images(self) -> Array:
-        """Instants (B,) with a frame of any sighting; all of them where there is none."""
-        seen = np.unique(np.concatenate([*self.sightings, np.empty(0, int)]))
-        return seen if len(seen) else np.arange(len(self.t))
+        """Instants (B,) with a frame of any sighting, and between distant ones each APART-th; all if there is none."""
+        seen, instants = np.unique(np.concatenate([*self.sightings, np.empty(0, int)])), np.arange(len(self.t))
+        if not len(seen):
+            return instants
+        since = instants - seen[np.maximum(np.searchsorted(seen, instants, "right") - 1, 0)]
+        return np.flatnonzero(since % APART == 0)
 
 
 def timeline(evidence: Evidence, rate: float | None) -> Timeline:

@@ -175,13 +175,9 @@ def middle(problem: Problem) -> Problem:
     """The middle of the log, with at most MOST images of any track and AVERAGES of encoder readings beside them."""
     evidence, found = problem.evidence, problem.evidence.encoders
     seen_at = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
-    read_at = np.empty(0) if found is None else found.t
-    most = AVERAGES * per_average(read_at)
-    if len(seen_at) <= MOST and len(read_at) <= most:
+    low, high = span = _span(seen_at, np.empty(0) if found is None else found.t)
+    if span == (-np.inf, np.inf):
         return problem
-    low, high = _span(seen_at, MOST)
-    beside = read_at[(read_at >= low) & (read_at <= high)]
-    low, high = _span(beside, most) if len(beside) > most else (low, high)
     sightings = [_cut_sighting(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings]
     if found is None:
         return _measured(problem, None, sightings)
@@ -191,10 +187,23 @@ def middle(problem: Problem) -> Problem:
     return replace(_measured(problem, encoders, sightings), start=np.where(np.isfinite(start), start, problem.start))
 
 
-def _span(t: Array, most: int) -> tuple[float, float]:
-    """First and last time of at most `most` in the middle of t (N,) s; any time if N is 0."""
-    begin = max(0, (len(t) - most) // 2)
-    return (float(t[begin]), float(t[begin:][:most][-1])) if len(t) else (-np.inf, np.inf)
+def _span(seen_at: Array, read_at: Array) -> tuple[float, float]:
+    """First and last time (s) of at most MOST images and AVERAGES of readings; infinite if the log has no more.
+
+    The images are those in the middle of theirs. Of the readings beside them, it is those nearest to the middle of the
+    log that hold all images, or all of which are held by these.
+    """
+    begin, most = (len(seen_at) - MOST) // 2, AVERAGES * per_average(read_at)
+    low, high = (float(seen_at[begin]), float(seen_at[begin + MOST - 1])) if begin >= 0 else (-np.inf, np.inf)
+    first, last = np.searchsorted(read_at, low), np.searchsorted(read_at, high, "right")
+    if len(read_at) and first == last:  # these images come before or after all readings
+        low, high, first, last = -np.inf, np.inf, np.int64(0), np.int64(len(read_at))
+    if last - first <= most:
+        return low, high
+    held = np.clip(np.searchsorted(read_at, seen_at[[0, -1]]), first, last) if len(seen_at) else (first, last)
+    ends = held[0], held[1] - most
+    begin = int(np.clip((len(read_at) - most) // 2, min(ends), max(ends)))
+    return float(read_at[begin]), float(read_at[begin + most - 1])
 
 
 def thinned(problem: Problem) -> Problem:
