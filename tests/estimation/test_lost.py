@@ -89,8 +89,9 @@ def silent(world, seed, silence, method, names=ALL):
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
 def test_error_bars_hold_while_no_encoder_speaks(world, method):
-    rmse, nees, within = silent(world, 1, 4.0, method)
-    assert rmse < 0.2 and 0.1 < nees < 3.0 and within > 0.8
+    rmse, nees, within = np.transpose([silent(world, seed, 4.0, method) for seed in range(8)])
+    # one posture in eight passes for another
+    assert np.sqrt(np.mean(rmse**2)) < 0.2 and 0.4 < np.median(nees) < 1.6 and np.mean(within) > 0.8
 
 
 @pytest.mark.soak

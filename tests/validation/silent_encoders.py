@@ -9,8 +9,8 @@ from tests.estimation.conftest import Explored, draw
 from tests.estimation.test_lost import muted
 from tests.validation import error_bars, figures, logs
 
-SINCE, COUNT = 6.0, 10
-"""s: when encoders fall silent; logs a row."""
+SINCE, COUNT = 6.0, 40
+"""s: when encoders fall silent; logs a row: NEES of ten differ by a half from those of ten others."""
 SILENCES = {"sines": (1.0, 2.0, 5.0, 10.0), "reaches": (2.0, 5.0), "babble": (2.0, 5.0)}
 
 

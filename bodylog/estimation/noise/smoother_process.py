@@ -25,6 +25,9 @@ from ..inference.solution import Solution
 from .correlated_noise import WHOLE
 from .visibility import LONG
 
+PER_STEP = 2
+"""Factors tried per step of the cut-off by √2. With 1 the errors of two recorded logs are 1 to 7 % larger, those of 120
+drawn ones the same to 0.3 %."""
 TURNS = 2
 """Rounds in which stretches hand over their ends."""
 
@@ -71,24 +74,24 @@ def least(part: Problem, solved: Solution) -> tuple[Array, float]:
     `solved`: the solution of the filter.
     """
     known = spectra(part.precision.order)
-    factors = known.step ** np.arange(-3.0, 3.0)
+    factors = known.step ** np.arange(-3.0, 2.5, 1.0 / PER_STEP)
     paths, var = _paths(part, solved, factors)
     present = _without_gaps(part, part.timeline.t[part.timeline.images])
-    moves = np.square(np.diff(paths, axis=0))[:, present]
+    moves = np.square(paths[PER_STEP:] - paths[:-PER_STEP])[:, present]
     moved = moves.mean(axis=1)
     # noise's share of it grows as q^(1/2n)
-    noise = moved[-1] * (factors[:-1] / factors[-2])[:, None] ** (1.0 / known.powers[0])
+    noise = moved[-1] * (factors[:-PER_STEP] / factors[-PER_STEP - 1])[:, None] ** (1.0 / known.powers[0])
     ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
     power = _power(ratios, known)
     over = np.log(np.maximum(ratios, np.finfo(float).tiny) / np.interp(power, known.powers, known.most))
     last = int(np.flatnonzero(over > 0.0).max(initial=-1))
-    beyond = 0.5 + over[last] / (over[last] - over[last + 1]) if last >= 0 else 0.0
+    beyond = 0.5 * PER_STEP + over[last] / (over[last] - over[last + 1]) if last >= 0 else 0.0
     # the path's mean squared move per step at this factor, over V
-    sway = (moves / np.sqrt(var[1:] * var[:-1])[:, present]).mean(axis=(1, 2))
+    sway = (moves / np.sqrt(var[PER_STEP:] * var[:-PER_STEP])[:, present]).mean(axis=(1, 2))
     sway = np.maximum(sway, np.finfo(float).tiny)  # 0 between poses that are far apart
-    sway = np.exp(np.interp(max(last, 0) + beyond - 0.5, np.arange(len(sway)), np.log(sway)))
+    sway = np.exp(np.interp(max(last, 0) + beyond - 0.5 * PER_STEP, np.arange(len(sway)), np.log(sway)))
     stated = known.noise + np.interp(power, known.powers, known.left) * (sway - known.sway)
-    factor = factors[max(last, 0)] * known.step**beyond
+    factor = factors[max(last, 0)] * known.step ** (beyond / PER_STEP)
     return np.asarray(part.precision.process * factor), float(np.clip(stated, known.noise, 1.0))
 
 
@@ -105,8 +108,8 @@ def _without_gaps(part: Problem, t: Array) -> Array:
 
 def _power(ratios: Array, known: Spectra) -> float:
     """p, from the rate at which moves over those of noise, 1 + b q^(−p/2n), fall; ratios (5,)."""
-    last = max(int(np.flatnonzero(ratios > known.most[0]).max(initial=0)), 1)
-    before, after = ratios[last - 1 : last + 1] - 1.0
+    last = max(int(np.flatnonzero(ratios > known.most[0]).max(initial=0)), PER_STEP)
+    before, after = ratios[[last - PER_STEP, last]] - 1.0
     if after <= 0.0 or before <= after:
         return float(known.powers[-1])
     rate = np.log(before / after) / np.log(known.step)
