@@ -1,5 +1,6 @@
 """A smoother's process variances: of least error, whatever moves the arm, and error bars that hold there."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -94,3 +95,14 @@ def test_poses_that_are_seconds_apart_are_smoothed(world, count, gap):
     joints = replace(drawn.features.joints, t=t, values=poses, source_ns=(1e9 * t).astype(np.int64))
     found = estimate(replace(drawn.features, joints=joints, tracks={}), drawn.body, Estimation(method="smoother"))
     assert np.isfinite(found.cov).all() and found.joints.values.shape == (count, 3)
+
+
+def test_tuning_a_smoother_takes_little_memory_beyond_the_smoother(world, white_acceleration):
+    drawn, peak = world(0, duration=60.0, encoder_hz=100.0), {}
+    for precision in ("model", "auto"):
+        tracemalloc.start()
+        estimate(drawn.features, drawn.body, Estimation(method="smoother", precision=precision))
+        peak[precision] = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    # 1.9 times; with all candidates side by side 3.9 times
+    assert peak["auto"] < 2.5 * peak["model"]

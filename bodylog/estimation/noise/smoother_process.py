@@ -20,7 +20,7 @@ from ..inference import adjoint
 from ..inference.filter_records import Dynamics, Readings
 from ..inference.initial_path import handed_over, priors
 from ..inference.problem import Problem
-from ..inference.scan import scan
+from ..inference.scan import Trace, scan
 from ..inference.solution import Solution
 from .correlated_noise import WHOLE
 from .visibility import LONG
@@ -119,29 +119,37 @@ def _power(ratios: Array, known: Spectra) -> float:
 def _paths(part: Problem, solved: Solution, factors: Array) -> tuple[Array, Array]:
     """Smoothed angles (G,B,M) for each factor at the images, with the tangents of `solved`; and V there.
 
+    One factor after the other, as a smoother keeps covariances of all instants.
+    """
+    solved.tangents.draw(part, solved.fold, solved.readings)
+    known, trace, found = spectra(part.precision.order), None, []
+    for process in factors[:, None] * part.precision.process:
+        posed = replace(part, precision=replace(part.precision, process=process, stated=known.noise))
+        path, var, trace = _path(posed, solved, trace)
+        found.append((path, var))
+    paths, variances = map(np.stack, zip(*found, strict=True))
+    return paths, variances
+
+
+def _path(posed: Problem, solved: Solution, into: Trace | None) -> tuple[Array, Array, Trace]:
+    """Smoothed angles (B,M) and V (B,M) at the images; and the trace, which may be `into`, overwritten.
+
     A steady smoother has 1/2n of its filter's variance.
     """
-    fold, readings, g, m = solved.fold, solved.readings, len(factors), len(part.start)
-    solved.tangents.draw(part, fold, readings)
-    processes = part.precision.process[:, None] * factors
-    share = spectra(part.precision.order).noise
-    precisions = [replace(part.precision, process=process, stated=share) for process in processes.T]
-    var = [solved.tangents.weighed(replace(part, precision=p), fold, readings, WHOLE) for p in precisions]
-    tiled, dynamics, z, p = side_by_side(part, solved, processes, np.stack(var, axis=-1))
-    trace = None
+    fold, dynamics, m = solved.fold, posed.dynamics, len(posed.start)
+    var = solved.tangents.weighed(posed, fold, solved.readings, WHOLE)
+    readings, trace = replace(solved.readings, var=var), into
+    z, p = handed_over(*priors(posed, fold), solved.trace.z[-1], solved.trace.end_p)
     for _ in range(TURNS):
-        trace = scan(tiled, dynamics, z, p, remember=True, into=trace)
-        z[:, g:], p[:, :, g:] = trace.z[-1][:, :-g], trace.end_p[:, :, :-g]
+        trace = scan(readings, dynamics, z, p, remember=True, into=trace)
+        z, p = handed_over(z, p, trace.z[-1], trace.end_p)
     assert trace is not None
     ends = np.zeros_like(z)
     for _ in range(TURNS):
-        smooth, start = adjoint.smoothed(tiled, trace, ends, dynamics)
-        ends[:, :-g] = start[:, g:]
-    x, var = smooth[:, :m], 0.5 / dynamics.order * np.einsum("liic->lic", trace.cov[:, :m, :m])
-    tiles = np.stack([x, var]).reshape(2, fold.length, m, fold.count, g)
-    images = part.timeline.images
-    paths, variances = (np.stack([fold.unfold(tile[..., k])[images] for k in range(g)]) for tile in tiles)
-    return paths, variances
+        smooth, start = adjoint.smoothed(readings, trace, ends, dynamics)
+        ends = adjoint.before(start)
+    var, images = 0.5 / dynamics.order * np.einsum("liic->lic", trace.cov[:, :m, :m]), posed.timeline.images
+    return fold.unfold(smooth[:, :m])[images], fold.unfold(var)[images], trace
 
 
 def side_by_side(
