@@ -9,6 +9,7 @@ from ..runtime.blas_threads import one_thread
 from ..settings import Estimation
 from ..types import Estimate, Features
 from .faults.consistency import consistency_findings
+from .inference import kernel
 from .measurements import gather
 from .measurements.joint_limits import limit_findings
 from .measurements.joints_alone import joints_body, no_body_findings, reading_findings
@@ -49,7 +50,11 @@ def estimate(
 
 
 def check(body: BodyModel, settings: Estimation) -> None:
-    """UsageError for a method, form of touch, preset or sense that does not exist or that the method cannot use."""
+    """UsageError for a method, form of touch, preset or sense that does not exist or that the method cannot use.
+
+    Also without the compiled library, which is no fault of a log.
+    """
+    kernel.library()
     if settings.method not in METHODS:
         raise UsageError(f"method: {settings.method!r} is unknown; possible: {', '.join(METHODS)}")
     method = METHODS[settings.method]

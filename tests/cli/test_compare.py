@@ -4,10 +4,12 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from bodylog import compare
 from bodylog.body import storage
 from bodylog.estimation import METHODS
+from bodylog.estimation.inference import kernel
 from bodylog.estimation.methods import choices
 from bodylog.settings import Estimation, Settings
 
@@ -91,3 +93,13 @@ def test_encoders_that_never_spoke_are_no_sense(robot):
     mute = replace(features, joints=replace(features.joints, values=np.full_like(features.joints.values, np.nan)))
     assert choices.subsets(mute, body, Estimation(without=("touch",)))[0] == [("vision",)]
     assert choices.subsets(mute, body, Estimation(senses=("encoders",)))[0] == []
+
+
+@pytest.mark.parametrize("command", ["compare", "estimate", "batch"])
+def test_without_the_compiled_library_the_log_is_not_blamed(tmp_path, monkeypatch, capsys, run_cli, robot, command):
+    monkeypatch.setattr(kernel, "LIBRARY", tmp_path / "libkernel.so")
+    monkeypatch.setattr(kernel, "library", kernel.library.__wrapped__)
+    out = () if command == "compare" else ("-o", tmp_path / "out")
+    assert run_cli(command, robot / "reach.mcap", "--body", robot / "body.npz", *out) == 2
+    assert "type in bodylog's folder: pip install ." in capsys.readouterr().err
+    assert not (tmp_path / "out" / "reach.mcap").exists()

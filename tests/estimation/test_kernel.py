@@ -32,7 +32,7 @@ def test_arrays_of_another_type_or_order_are_not_taken(array):
         kernel.run("scan", Two, n=3, a=array)
 
 
-@pytest.mark.parametrize("function", ["scan", "adjoint", "evidence"])
+@pytest.mark.parametrize("function", ["scan", "adjoint", "evidence", "unknown"])
 def test_a_library_of_another_version_is_one_line_with_the_command(function):
     with pytest.raises(UsageError, match=r"library is of another version; type in bodylog's folder: pip install \.$"):
         kernel.run(function, Two, n=3)

@@ -36,7 +36,8 @@ def run(function: str, record: type[ctypes.Structure], **values: Any) -> None:
     MemoryError where it finds no room.
     """
     given = record(**{name: _address(part) if isinstance(part, np.ndarray) else part for name, part in values.items()})
-    failed = getattr(library(), function)(ctypes.byref(given), ctypes.c_int64(ctypes.sizeof(record)))
+    known = getattr(library(), function, None)
+    failed = known(ctypes.byref(given), ctypes.c_int64(ctypes.sizeof(record))) if known else 2
     if failed == 1:
         raise MemoryError(f"{function} finds no room for a stretch of the log")
     if failed:
