@@ -234,3 +234,35 @@ def test_averages_of_close_readings_carry_their_noise(world, rows):
     np.testing.assert_allclose(few.relative, 1.0 / rows)
     np.testing.assert_allclose(few.values[0], all_of.values[:rows].mean(axis=0))
     np.testing.assert_allclose(few.t[0], all_of.t[:rows].mean())
+
+
+def _thinned(world, t, values):
+    found = Encoders(t, values, (t * 1e9).astype(np.int64))
+    drawn = world(0, duration=1.0)
+    problem, _ = filtering.gathered(drawn.features, drawn.body, Estimation())
+    return evidence_search.thinned(
+        replace(problem, evidence=replace(problem.evidence, encoders=found))
+    ).evidence.encoders
+
+
+def test_a_missing_reading_does_not_keep_the_others_from_being_averaged(world):
+    t = np.arange(0.0, 10.0, 0.002)
+    values = np.stack([np.sin(t), np.cos(t), t], axis=1)
+    whole = _thinned(world, t, values)
+    assert len(whole.t) == 1000
+    values[2501, 1] = np.nan
+    one = _thinned(world, t, values)
+    assert len(one.t) == 1000
+    assert (np.diff(one.t) > 0.0).all()
+    np.testing.assert_array_equal(one.relative[np.isfinite(one.values)].min(), 0.2)
+    np.testing.assert_allclose(one.values[:, 2], one.t, atol=1e-12)
+
+
+def test_encoders_of_several_topics_are_averaged_apart(world):
+    t = np.arange(0.0, 10.0, 0.001)
+    values = np.stack([t, 2.0 * t, -t], axis=1)
+    values[::2, 0], values[1::2, 1:] = np.nan, np.nan
+    found = _thinned(world, t, values)
+    assert len(found.t) == 2000
+    assert np.isfinite(found.values).sum() == 3000
+    np.testing.assert_allclose(found.values, np.where(np.isfinite(found.values), found.t[:, None] * [1, 2, -1], np.nan))

@@ -160,6 +160,37 @@ def per_average(t: Array) -> int:
     return max(1, min(round(SPACING / max(step, 1e-9)), len(t) // FEWEST))
 
 
+def averaged(found: Encoders) -> Encoders:
+    """Means of close readings, among rows of the same encoders: these are read together."""
+    known, which = np.isfinite(found.values), np.zeros(len(found.t), int)
+    for column in known.T[~known.all(axis=0)]:
+        which = np.unique(2 * which + column, return_inverse=True)[1]
+    parts = np.split(np.argsort(which, kind="stable"), np.cumsum(np.bincount(which))[:-1])
+    return _merged([_row_means(found, part) for part in parts])
+
+
+def _row_means(found: Encoders, part: Array) -> Encoders:
+    """Means of close rows among `part` (P,), which are of the same encoders."""
+    each, joints = per_average(found.t[part]), found.values.shape[1]
+    part = part[: len(part) // each * each]
+    weights = np.ones((len(part), joints)) if found.relative is None else 1.0 / found.relative[part]
+    weights, values = (a.reshape(-1, each, joints) for a in (weights, found.values[part]))
+    total, t = weights.sum(axis=1), found.t[part].reshape(-1, each).mean(axis=1)
+    return Encoders(t, (weights * values).sum(axis=1) / total, found.source_ns[part[each - 1 :: each]], 1.0 / total)
+
+
+def _merged(parts: list[Encoders]) -> Encoders:
+    """One record of readings of different encoders, in time order; a row holds all readings of one time."""
+    t, joints = np.unique(np.concatenate([part.t for part in parts])), parts[0].values.shape[1]
+    values, relative, source = np.full((len(t), joints), np.nan), np.ones((len(t), joints)), np.zeros(len(t), np.int64)
+    for part in parts:
+        at, read = np.searchsorted(t, part.t), np.isfinite(part.values[0])
+        values[np.ix_(at, read)], source[at] = part.values[:, read], part.source_ns
+        if part.relative is not None:
+            relative[np.ix_(at, read)] = part.relative[:, read]
+    return Encoders(t, values, source, relative)
+
+
 def _averages(t: Array, y: Array) -> tuple[tuple[Array, Array, Array], int]:
     """Means (N,) of times and of readings, where the filter restarts, at and after a mean with a break; how many each.
 

@@ -16,7 +16,7 @@ from ..measurements.long_arrays import median_step, seen
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import timeline
 from .correlated_noise import steady_variance
-from .encoder_noise import FEWEST, floor, followable, per_average
+from .encoder_noise import FEWEST, averaged, floor, followable, per_average
 from .noise_model import NoiseModel
 from .smoother_process import least, side_by_side
 from .visibility import View, views, visual
@@ -207,19 +207,11 @@ def _span(seen_at: Array, read_at: Array) -> tuple[float, float]:
 
 
 def thinned(problem: Problem) -> Problem:
-    """The problem with close encoder readings averaged, if all encoders are read together."""
+    """The problem with close encoder readings averaged."""
     found = problem.evidence.encoders
-    each = 1 if found is None or np.isnan(found.values).any() else per_average(found.t)
-    if found is None or each == 1:
+    if found is None or per_average(found.t) == 1:
         return problem
-    whole, joints = len(found.t) // each * each, found.values.shape[1]
-    weights = np.ones((whole, joints)) if found.relative is None else 1.0 / found.relative[:whole]
-    weights, values = (a[:whole].reshape(-1, each, joints) for a in (weights, found.values))
-    total, t = weights.sum(axis=1), found.t[:whole].reshape(-1, each).mean(axis=1)
-    encoders = Encoders(
-        t, (weights * values).sum(axis=1) / total, found.source_ns[each - 1 : whole : each], 1.0 / total
-    )
-    return _measured(problem, encoders, problem.evidence.sightings)
+    return _measured(problem, averaged(found), problem.evidence.sightings)
 
 
 def determined(problem: Problem) -> Problem:
