@@ -4,7 +4,7 @@ State z (K,C) = joint angles, rates[, accelerations][, encoder offsets]; the las
 """
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,10 @@ class Trace:
     encoder_d: Array
     p: Array | None
     back: tuple[Array, Array, Array] | None
+
+    def without_gains(self) -> "Trace":
+        """The trace without what only the backward pass needs, most of its memory."""
+        return replace(self, p=None, back=None)
 
 
 def scan(

@@ -88,7 +88,7 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
         moved = tangents.draw(problem, fold, readings)
         if trace is not None and back is not None and rest < LASTING and not moved:
             cov = adjoint.covariances(readings, trace, dynamics)
-            return Smooth(fold, readings, tangents, trace, back, cov)
+            return Smooth(fold, readings, tangents, trace.without_gains(), back, cov)
         trace = scan(readings, dynamics, z, p, remember=True, into=trace)
         next_z, next_p = handed_over(z, p, trace.z[-1], trace.end_p)
         z, p, rest = next_z, next_p, sure(far(z, p, next_z, next_p))
@@ -106,7 +106,7 @@ def once(problem: Problem) -> Smooth:
     solution, dynamics = walk(problem, remember=True), problem.dynamics
     smooth, _ = adjoint.smoothed(solution.readings, solution.trace, np.zeros((dynamics.size, 1)), dynamics)
     cov = adjoint.covariances(solution.readings, solution.trace, dynamics)
-    return Smooth(solution.fold, solution.readings, solution.tangents, solution.trace, smooth, cov)
+    return Smooth(solution.fold, solution.readings, solution.tangents, solution.trace.without_gains(), smooth, cov)
 
 
 def _pulled(adjoint_moved: Array, p: Array) -> float:
