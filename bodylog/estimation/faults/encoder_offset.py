@@ -39,10 +39,16 @@ def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[
     while suspected.any():
         walks = {j: cost(_with_walk(found, j, WALKS[0])) for j in np.flatnonzero(suspected).tolist()}
         found = _weighed(found, ((OFFSET, j, nats - walk, False) for j, walk in walks.items()))
+        least = walks
         if min(walks.values()) > nats - NATS:
+            # a gate rejects the readings after a large step, so that no offset wanders there
+            least = {j: cost(replace(_with_walk(found, j, WALKS[0]), gate=np.inf)) for j in walks}
+        if min(least.values()) > nats - NATS:
             break
         # the kind of offset is chosen before a further one is tried: one that wanders too freely hides others
-        ways = {j: _best_way(found, j, walks[j], solved, cost) for j in _near(walks)}
+        ways = {j: _best_way(found, j, walks[j], solved, cost) for j in _near(least)}
+        if min(way.nats for way in ways.values()) > nats - NATS:
+            break
         # among indistinguishable joints take the smallest walk: a larger one follows errors of the body model
         near = sorted(_near({j: way.nats for j, way in ways.items()}))
         joint = min(near, key=lambda j: (_walks(ways[j].problem)[j], ways[j].nats))
