@@ -17,7 +17,7 @@ FLAGS += ["-fno-ivopts", "-Wno-ignored-optimization-argument"]
 """Without fused multiplications, so that sums are rounded alike everywhere; GCC's loops are 25 % faster without ivopts,
 which Clang does not know."""
 ZIG = [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline"]
-"""The compiler of a Python package. Unless told otherwise, it compiles for the CPU that it runs on."""
+"""The compiler of a Python package. By default it compiles for the CPU that it runs on."""
 
 
 def compiler():

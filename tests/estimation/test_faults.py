@@ -243,11 +243,14 @@ def test_silent_since_ignores_an_encoder_with_rare_readings():
 @pytest.mark.parametrize("joint", [0, 1, 2])
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 def test_images_separate_a_frozen_encoder_from_a_coarse_one_at_rest(moves, joint, noise):
-    sound = drawn(0, Drawn(moves, 1.5e-3, noise))
-    found = estimate(spoil(sound, freeze, sound.features.joints.names[joint]), sound.body, Estimation())
-    assert [(f.name, f.kind) for f in found.faults] == [(sound.features.joints.names[joint], "frozen")]
-    error, nees = judged(sound, found.joints, found.cov)
-    assert error < 0.02 and nees < 2.5  # 0.06 to 0.14 rad without the fault's detection
+    errors, squares = [], []
+    for seed in range(2):
+        sound = drawn(seed, Drawn(moves, 1.5e-3, noise))
+        found = estimate(spoil(sound, freeze, sound.features.joints.names[joint]), sound.body, Estimation())
+        assert [(f.name, f.kind) for f in found.faults] == [(sound.features.joints.names[joint], "frozen")]
+        error, nees = judged(sound, found.joints, found.cov)
+        errors, squares = [*errors, error], [*squares, nees]
+    assert max(errors) < 0.02 and np.mean(squares) < 2.0  # 0.06 to 0.14 rad without the fault's detection
 
 
 @pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])

@@ -43,7 +43,7 @@ class Judged(Smooth):
 
     @staticmethod
     def of(smooth: Smooth, found: LeftOut) -> "Judged":
-        """The smoothed log with what was found."""
+        """The smoothed log and its readings left out one by one."""
         return Judged(**vars(smooth), left_out=found)
 
 

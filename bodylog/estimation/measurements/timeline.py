@@ -28,8 +28,8 @@ class Timeline:
     source_ns: Array
 
     @property
-    def images(self) -> Array:
-        """Instants (B,) with a frame of any sighting, and between distant ones each APART-th; all if there is none."""
+    def sampled(self) -> Array:
+        """Instants (B,) with a frame of any sighting, and between distant ones each APART-th; all without any."""
         seen, instants = np.unique(np.concatenate([*self.sightings, np.empty(0, int)])), np.arange(len(self.t))
         if not len(seen):
             return instants

@@ -121,7 +121,7 @@ def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
     if encoders is None or len(encoders.t) < 2:
         return replace(part.precision, process=0.5 * (alone + part.precision.process))
     density = precision.encoder * median_step(encoders.t)
-    var = solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))[part.timeline.images]
+    var = solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))[part.timeline.sampled]
     together = np.sqrt(var).mean(axis=0)
     unknown, white = (
         np.minimum(together**2 / steady_variance(density, process, precision.order), 1.0)
@@ -172,7 +172,7 @@ def costs(part: Problem, solved: Solution, candidates: Array, names: list[str]) 
 
 
 def middle(problem: Problem) -> Problem:
-    """The middle of the log, with at most MOST images of any track and AVERAGES of encoder readings beside them."""
+    """The middle of the log, with at most MOST images of any track and AVERAGES of encoder readings near these."""
     evidence, found = problem.evidence, problem.evidence.encoders
     seen_at = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
     low, high = span = _span(seen_at, np.empty(0) if found is None else found.t)
@@ -190,7 +190,7 @@ def middle(problem: Problem) -> Problem:
 def _span(seen_at: Array, read_at: Array) -> tuple[float, float]:
     """First and last time (s) of at most MOST images and AVERAGES of readings; infinite if the log has no more.
 
-    The images are those in the middle of theirs. Of the readings beside them, it is those nearest to the middle of the
+    The images are those in the middle of theirs. Of the readings near these, it is those nearest to the middle of the
     log that hold all images, or all of which are held by these.
     """
     begin, most = (len(seen_at) - MOST) // 2, AVERAGES * per_average(read_at)

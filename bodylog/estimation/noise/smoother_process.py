@@ -76,7 +76,7 @@ def least(part: Problem, solved: Solution) -> tuple[Array, float]:
     known = spectra(part.precision.order)
     factors = known.step ** np.arange(-3.0, 2.5, 1.0 / PER_STEP)
     paths, var = _paths(part, solved, factors)
-    present = _without_gaps(part, part.timeline.t[part.timeline.images])
+    present = _without_gaps(part, part.timeline.t[part.timeline.sampled])
     moves = np.square(paths[PER_STEP:] - paths[:-PER_STEP])[:, present]
     moved = moves.mean(axis=1)
     # noise's share of it grows as q^(1/2n)
@@ -148,7 +148,7 @@ def _path(posed: Problem, solved: Solution, into: Trace | None) -> tuple[Array, 
     for _ in range(TURNS):
         smooth, start = adjoint.smoothed(readings, trace, ends, dynamics)
         ends = adjoint.before(start)
-    var, images = 0.5 / dynamics.order * np.einsum("liic->lic", trace.cov[:, :m, :m]), posed.timeline.images
+    var, images = 0.5 / dynamics.order * np.einsum("liic->lic", trace.cov[:, :m, :m]), posed.timeline.sampled
     return fold.unfold(smooth[:, :m])[images], fold.unfold(var)[images], trace
 
 
