@@ -107,7 +107,7 @@ def textbook(problem, world, order, stationary):
 def test_silence_of_a_linear_body_is_that_of_full_matrices(world, linear_model, order):
     drawn = world(3, duration=7.0, model=linear_model)
     features = muted(drawn.features, 3.0, 4.0)
-    problem, *_ = filtering.pose(features, drawn.body, Estimation(precision="model", bias="off"))
+    problem, _ = filtering.gathered(features, drawn.body, Estimation(precision="model", bias="off"))
     precision = replace(problem.precision, order=order, near={})
     problem = replace(problem, precision=precision)
     problem = replace(problem, stationary=Stationary(problem.start, np.square(
@@ -124,10 +124,10 @@ def test_silence_of_a_linear_body_is_that_of_full_matrices(world, linear_model, 
 
 def test_own_mean_squares_are_carried_to_a_live_filter(world):
     drawn = world(0, duration=9.0)
-    found = filtering.laplace(muted(drawn.features, 4.0, 6.0), drawn.body, Estimation()).settings
+    found = filtering.estimate(muted(drawn.features, 4.0, 6.0), drawn.body, Estimation()).settings
     rms = np.sqrt(np.square(np.gradient(drawn.truth.values, drawn.truth.t, axis=0)).mean(axis=0))
     np.testing.assert_allclose(np.sqrt(found["moments"][1]), rms, rtol=0.4)
-    assert "moments" not in filtering.laplace(drawn.features, drawn.body, Estimation()).settings
+    assert "moments" not in filtering.estimate(drawn.features, drawn.body, Estimation()).settings
     Estimator(drawn.body, learned=found)
     with pytest.raises(UsageError, match=r"learned: moments is .* numbers above 0"):
         Estimator(drawn.body, learned={**found, "moments": found["moments"][0]})

@@ -25,7 +25,8 @@ def lying(drawn, size, joint="pan", since=8.0):
 
 
 def solved(features, body, **settings):
-    problem, warm, _ = filtering.pose(features, body, Estimation(**settings))
+    problem, _ = filtering.gathered(features, body, Estimation(**settings))
+    problem, warm = filtering.tuned(problem, Estimation(**settings))
     return problem, solve(problem, warm)
 
 

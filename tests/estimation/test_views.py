@@ -8,7 +8,7 @@ import pytest
 from bodylog.estimation import estimate
 from bodylog.estimation.inference import gauss_newton, walk
 from bodylog.estimation.measurements.records import Sighting
-from bodylog.estimation.methods.filtering import pose
+from bodylog.estimation.methods import filtering
 from bodylog.estimation.noise.visibility import LONG, views
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Arm
@@ -52,7 +52,8 @@ def test_settings_say_how_the_arm_moves_out_of_view(world, white_acceleration):
 @pytest.mark.parametrize("seed", range(2))
 def test_walk_by_single_instants_equals_the_sweeps(world, seed):
     drawn = world(seed, hidden=(8.0, 11.0))
-    problem, _, _ = pose(drawn.features, drawn.body, Estimation(method="laplace"))
+    problem, _ = filtering.gathered(drawn.features, drawn.body, Estimation())
+    problem, _ = filtering.tuned(problem, Estimation())
     precision = replace(problem.precision, fewer={(): problem.precision.process * np.array([1.0, 9.0, 4.0])})
     problem = replace(problem, precision=precision)
     swept, walked = gauss_newton.solve(problem), walk.walk(problem)

@@ -21,7 +21,7 @@ from ..inference.solution import Solution
 from ..inference.walk import find_initial_path, loses_encoder, walk
 from ..measurements.gather import start
 from ..measurements.timeline import timeline
-from ..noise import encoder_noise, typed
+from ..noise import typed
 from ..noise.evidence_search import ROUGHLY, tune, with_preferred_order
 from ..noise.noise_model import resolve, warned, weighed
 from ..noise.posture_prior import learn_prior
@@ -31,17 +31,12 @@ from .results import Beliefs
 S = TypeVar("S", bound=Solution)
 
 
-def laplace(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
-    """Filtered belief at each output time, given all measurements up to then."""
-    return _filtered(features, body, settings, "laplace", "posterior")
+def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+    """Filtered belief at each output time, given all measurements up to then.
 
-
-def ekf(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
-    """The plain extended Kalman filter: the same, but frames are linearised once, at the prior mean."""
-    return _filtered(features, body, settings, "ekf", "prior")
-
-
-def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
+    `laplace` linearises frames at the belief until it rests; `ekf` does so once, at the prior mean.
+    """
+    at = "prior" if settings.method == "ekf" else "posterior"
     start_problem, faults = gathered(features, body, settings)
 
     def solved(problem: Problem) -> tuple[Problem, Solution]:
@@ -59,15 +54,7 @@ def _filtered(features: Features, body: BodyModel, settings: Estimation, method:
         unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
         drifts(problem, body.joints, solution, faults), tuple(lost(problem, body.joints, solution)),
     )  # fmt: skip
-    return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
-
-
-def pose(
-    features: Features, body: BodyModel, settings: Estimation
-) -> tuple[Problem, Solution | None, tuple[Fault, ...]]:
-    """The problem with its noise model, a warm start, and the faulty encoders."""
-    problem, faults = gathered(features, body, settings)
-    return *tuned(problem, settings), faults
+    return results.estimate(settings.method, body, problem.evidence, problem.timeline, beliefs)
 
 
 def gathered(features: Features, body: BodyModel, settings: Estimation) -> tuple[Problem, tuple[Fault, ...]]:
@@ -127,43 +114,14 @@ def settled(
     solved = sure(problem, warm)
     if settings.bias != "auto" or problem.evidence.encoders is None:
         return problem, solved
-    chosen = offset(problem, solved)
-    if chosen.precision is problem.precision and chosen.evidence.encoders is problem.evidence.encoders:
-        return chosen, solved
-    chosen, begin = retuned(chosen, settings)
-    return chosen, sure(chosen, begin)
-
-
-def offset(problem: Problem, solved: Solution) -> Problem:
-    """The problem with the offsets that the log has, and the hypotheses compared.
-
-    A smoother's process variance makes its forward pass lag, which looks like offsets, so the filter's is used here.
-    """
-    likeliest = problem.precision.likeliest
-    plain, suspected = encoder_offset.suspected_encoders(problem, solved)
-    found = plain
-    if suspected.any() and likeliest is not None:
-        found = replace(plain, precision=replace(plain.precision, process=likeliest, fewer={}))
-        try:
-            solved = walk(found) if found.stepwise else solve(found, solved, rest=ROUGHLY)
-        except DidNotConverge:
-            solved = walk(found)
-        found, suspected = encoder_offset.suspected_encoders(found, solved)
+    found, suspected = encoder_offset.suspected_encoders(problem, solved)
     if suspected.any():
         found = encoder_offset.choose(found, solved, suspected, partial(cost, warm=solved))
-    return found if found.alternatives else replace(plain, evidence=found.evidence)
-
-
-def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
-    """The problem with noise learned again from the encoders: the process noise had absorbed the offset."""
-    encoders, precision = problem.evidence.encoders, problem.precision
-    if precision.learned is None or encoders is None:
-        return problem, None
-    known = precision.learned[precision.order - 2].dithered
-    joints = encoder_noise.series(encoders)
-    evident = encoder_noise.learn(joints, precision.encoder, precision.process, precision.order, known).process
-    held = typed.precision(precision.held(evident, encoders), settings, problem.evidence.joints)
-    return tuned(replace(problem, precision=held), settings)
+    if not found.alternatives:
+        return found, solved
+    # the process noise had absorbed the offset
+    found, begin = tuned(found, settings)
+    return found, sure(found, begin)
 
 
 def cost(problem: Problem, warm: Solution | None = None) -> float:

@@ -27,9 +27,9 @@ class Method(NamedTuple):
 
 
 METHODS: Mapping[str, Method] = {
-    "laplace": Method(filtering.laplace, Capabilities(), live=True),
+    "laplace": Method(filtering.estimate, Capabilities(), live=True),
     "smoother": Method(smoother.estimate, Capabilities(causal=False)),
-    "ekf": Method(filtering.ekf, Capabilities()),
+    "ekf": Method(filtering.estimate, Capabilities()),
     "kalman": Method(
         kalman.estimate,
         Capabilities(moves=False, density=False, learns_noise=False, repairs=False, from_paper=True),
