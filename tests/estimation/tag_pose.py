@@ -5,7 +5,7 @@ A⁺ its pseudo-inverse weighted by W = Σᵤ⁻¹, the pose has covariance (A�
 the corners predicts the pose: g(x) is the pose of the predicted corners, J = A⁺ Jᵤ, with variance diag(A⁺ Vᵤ A⁺ᵀ).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,20 +79,15 @@ class TagPose:
         """Take lens (6,): ln f (px), ln of fv over fu, centre (px), k1, k2."""
         self._lens = lens
 
-    @property
-    def group(self) -> str:
-        """Vision."""
-        return "vision"
-
-    def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
-        """Tags whose corners are all seen and predicted."""
+    def __call__(self, features: Features, body: BodyModel) -> Mapping[str, Measured]:
+        """Read the tags whose corners are all tracked and predicted."""
         boards = features.boards.items()
         tags = (name for name, (tracks, _) in boards if len(tracks) == 4 and set(tracks) <= set(body.senses))
-        return tuple(f"{name}.pose" for name in tags)
+        return {f"{name}.pose": self._read(name, features, body) for name in tags}
 
-    def read(self, name: str, features: Features, body: BodyModel, whole: bool = True) -> Measured:
+    def _read(self, name: str, features: Features, body: BodyModel) -> Measured:
         """Read poses (N,6) and covariances (N,6,6) of a tag; NaN where corners are unseen or the pose is ambiguous."""
-        tracks, points = features.boards[name.removesuffix(".pose")]
+        tracks, points = features.boards[name]
         seen = [features.tracks[track] for track in tracks]
         corners, var = np.stack([one.values for one in seen], axis=1), _variances(seen, tracks, body)
         values, cov = np.full((len(corners), 6), np.nan), np.tile(np.eye(6), (len(corners), 1, 1))
@@ -103,7 +98,7 @@ class TagPose:
         model = PoseModel(tuple(body.senses[track] for track in tracks), points, self._lens)
         first, use = seen[0], int(np.isfinite(values[:, 0]).sum())
         own = np.einsum("ndd->nd", cov).copy()
-        sighting = Sighting(name, model, first.t, values, own, first.source_ns, cov=cov)
+        sighting = Sighting(f"{name}.pose", model, first.t, values, own, first.source_ns, cov=cov)
         return Measured(sighting, Health(len(values), use, {"out of view, or of two poses": len(values) - use}))
 
 

@@ -9,8 +9,7 @@ from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation import estimate
 from bodylog.estimation.inference.filter_records import Dynamics
 from bodylog.estimation.inference.sequential import SequentialFilter
-from bodylog.estimation.measurements import gather
-from bodylog.estimation.measurements.track import Track
+from bodylog.estimation.measurements import gather, track
 from bodylog.estimation.noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame
 from bodylog.kinematics.camera import lens, project
 from bodylog.kinematics.rotations import exponential
@@ -112,8 +111,7 @@ def test_tag_pose_fits_the_corners_with_true_derivatives():
 @pytest.mark.parametrize("seed", range(2))
 def test_tag_pose_has_a_true_covariance(seed):
     features, body, _, at_frames = drawn(seed, duration=10.0, pixel=0.1)
-    ((name,),) = (TagPose(LENS).names(features, body),)
-    poses, health = TagPose(LENS).read(name, features, body)
+    ((poses, health),) = TagPose(LENS)(features, body).values()
     assert poses.name == "tag.pose" and poses.values.shape == (120, 6) and health.used > 100
     rows = np.isfinite(poses.values[:, 0])
     error = (poses.values - poses.model.predict(at_frames)[0])[rows]
@@ -127,7 +125,7 @@ def test_tag_pose_has_a_true_covariance(seed):
 @pytest.fixture
 def pose_alone(monkeypatch):
     """Of all senses only the encoders and the tag's pose."""
-    monkeypatch.setattr(gather, "SENSES", {"pose": TagPose(LENS)})
+    monkeypatch.setattr(gather, "SENSES", (("vision", TagPose(LENS)),))
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -135,7 +133,7 @@ def test_estimate_with_tag_poses_equals_the_filter_instant_by_instant(pose_alone
     features, body, _, _ = drawn(seed, duration=4.0, pixel=0.1, camera=6.0)
     found = estimate(features, body, TYPED)
     assert found.used["tag.pose"].used > 20 and found.predicted["tag.pose"].names == ROWS
-    poses, _ = TagPose(LENS).read("tag.pose", features, body)
+    poses, _ = TagPose(LENS)(features, body)["tag.pose"]
     mean, cov = filtered(features, body, PROCESS, poses)
     np.testing.assert_allclose(found.joints.values, mean, atol=1e-7, rtol=0)
     np.testing.assert_allclose(found.cov, cov, atol=1e-9, rtol=0)
@@ -161,7 +159,7 @@ def test_estimate_with_tag_poses_has_true_error_bars(pose_alone, method):
 def test_noise_is_learned_beside_poses_and_corners(monkeypatch):
     features, body, truth, _ = drawn(1, duration=6.0, pixel=0.1, camera=6.0)
     errors = []
-    for senses in ({"track": Track()}, {"track": Track(), "pose": TagPose(LENS)}):
+    for senses in ((("vision", track.read),), (("vision", track.read), ("vision", TagPose(LENS)))):
         monkeypatch.setattr(gather, "SENSES", senses)
         found = estimate(features, body, Estimation(method="smoother"))
         errors.append(np.sqrt(np.mean((found.joints.values - truth) ** 2)))
@@ -184,5 +182,5 @@ def test_tag_pose_is_absent_without_all_corners():
     values = features.tracks["tag.2"].values.copy()
     values[4] = np.nan
     hidden = replace(features, tracks={**features.tracks, "tag.2": replace(features.tracks["tag.2"], values=values)})
-    poses, health = TagPose(LENS).read("tag.pose", hidden, body)
+    poses, health = TagPose(LENS)(hidden, body)["tag.pose"]
     assert np.isnan(poses.values[4]).all() and health.used <= 11

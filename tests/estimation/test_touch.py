@@ -23,32 +23,24 @@ def biased(drawn, stroked, weight):
 
 def test_variance_and_times_are_the_likelihoods(world, stroked):
     features, body = stroked(world(0), 0.5), world(0).body
-    found, count = touch.sightings(features, body, whole=False)
+    found, count = touch.sightings(features, body)
     during = np.zeros(len(features.hand.t), bool)
     for felt in features.touches:
         during |= (features.hand.t >= felt.onset) & (features.hand.t <= felt.offset)
     np.testing.assert_array_equal(found.t, features.hand.t[during])
     np.testing.assert_array_equal(found.values, features.hand.values[during])
-    np.testing.assert_allclose(found.var, 1.0 / (2.0 * 0.005 * 0.5))
-    assert len(found.source_ns) == len(found.t)
-    assert count == len(features.touches)
-
-
-def test_touch_counts_all_its_frames_as_one_sighting(world, stroked):
-    features, body = stroked(world(0), 1.0), world(0).body
-    found, count = touch.sightings(features, body)
-    information = (1.0 / found.var).sum(axis=0)
-    np.testing.assert_allclose(information, count * 2.0 * 0.005)
-    assert len(found.t) > count
+    assert len(found.source_ns) == len(found.t) > count == len(features.touches)
+    # all frames of a touch count as one sighting
+    np.testing.assert_allclose((1.0 / found.var).sum(axis=0), count * 2.0 * 0.005 * 0.5)
 
 
 def test_touch_uses_a_cell_at_its_known_position(world, stroked):
     features, body = stroked(world(0), 1.0, (30.0, -8.0)), world(0).body
     body = replace(body, cells={1: (30.0, -8.0, 3.0)})
-    found, _ = touch.sightings(features, body, whole=False)
+    found, count = touch.sightings(features, body)
     effector = features.tracks["effector"]
     np.testing.assert_allclose(found.values, effector.values[np.isin(effector.t, found.t)])
-    np.testing.assert_allclose(found.var, 9.0)
+    np.testing.assert_allclose((1.0 / found.var).sum(axis=0), count / 9.0)
 
 
 def test_synchronous_touch_corrects_and_asynchronous_does_not(world, stroked):

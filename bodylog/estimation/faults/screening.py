@@ -22,15 +22,12 @@ OF_POSES: Mapping[str, Detector] = {name: DETECTORS[name] for name in ("out_of_r
 """Those that do not compare consecutive readings."""
 
 
-def screened(
-    features: Features, body: BodyModel, settings: Estimation, whole: bool = True, repairs: bool = True
-) -> Evidence:
+def screened(features: Features, body: BodyModel, settings: Estimation, repairs: bool = True) -> Evidence:
     """Gather the measurements that the settings ask for and run all detectors; EvidenceError if a named sense is empty.
 
-    `whole`: all frames of one touch count as one sighting. Without `repairs`, encoder faults are named, but the
-    readings stay as they were.
+    Without `repairs`, encoder faults are named, but the readings stay as they were.
     """
-    gathered = gather(features, body, settings, whole)
+    gathered = gather(features, body, settings)
     found = gathered
     for name, detect in (OF_POSES if features.poses else DETECTORS).items():
         verdict = detect(found, body)

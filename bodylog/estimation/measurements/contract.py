@@ -1,7 +1,7 @@
-"""The interface of a sense: one file that lists its measurements and reads them."""
+"""The interface of a sense: one function that reads all its measurements."""
 
-from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from ...body_model import BodyModel
 from ...types import Features, Health
@@ -15,18 +15,8 @@ class Measured(NamedTuple):
     health: Health
 
 
-class Sense(Protocol):
-    """One kind of sense, with any number of rows D; `Sighting.model` predicts g (D), J (D,M), variance (D)."""
-
-    @property
-    def group(self) -> str:
-        """The group it belongs to: vision or touch."""
-
-    def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
-        """Names of its measurements that the features contain and the body predicts."""
-
-    def read(self, name: str, features: Features, body: BodyModel, whole: bool) -> Measured:
-        """Read the measurements of one name; `whole`: those of one event count as one."""
+Sense = Callable[[Features, BodyModel], Mapping[str, Measured]]
+"""Reads, by name, what the features contain and the body predicts, with any number of rows D."""
 
 
 def health(seen: int, used: int, reasons: Mapping[str, int], gap: float = 0.0) -> Health:

@@ -9,28 +9,28 @@ from ...body_model import BodyModel
 from ...errors import EvidenceError, LogError, ModelError, UsageError
 from ...settings import Estimation
 from ...types import Array, Features, Finding, Health, Series
+from . import touch, track
 from .contract import Sense, health
 from .long_arrays import any_of_row, rows
 from .records import Encoders, Evidence
-from .touch import Touch
-from .track import Track, ascending, gap
+from .track import ascending, gap
 
-SENSES: Mapping[str, Sense] = {"track": Track(), "touch": Touch()}
-"""Senses other than encoders, in the order of gathering."""
+SENSES: tuple[tuple[str, Sense], ...] = (("vision", track.read), ("touch", touch.read))
+"""Senses other than encoders, each with the group it belongs to, in the order of gathering."""
 
 
-def gather(features: Features, body: BodyModel, settings: Estimation, whole: bool = True) -> Evidence:
-    """Gather the measurements that the settings ask for; `whole`: all frames of one touch count as one sighting."""
-    senses = [(sense, name) for sense in SENSES.values() for name in sense.names(features, body)]
-    wanted = chosen([name for sense, name in senses if sense.group == "vision"], body, settings)
+def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidence:
+    """Gather the measurements that the settings ask for."""
+    groups = [(group, sense(features, body)) for group, sense in SENSES]
+    wanted = chosen([name for group, found in groups if group == "vision" for name in found], body, settings)
     joints, encoders, used = features.joints, None, {"encoders": Health(0, 0)}
     read = np.empty((0, len(body.joints)))
     if joints is not None:
         read = joints.values[:, columns(joints, body.joints)]
         encoders, used["encoders"] = _encoders(joints, read, body.joints, wanted)
-    found = {name: sense.read(name, features, body, whole) for sense, name in senses if name in wanted}
-    used |= {name: one.health for name, one in found.items()}
-    return Evidence(encoders, tuple(one.sighting for one in found.values()), used, (), read=read, joints=body.joints)
+    measured = {name: one for _, found in groups for name, one in found.items() if name in wanted}
+    used |= {name: one.health for name, one in measured.items()}
+    return Evidence(encoders, tuple(one.sighting for one in measured.values()), used, (), read=read, joints=body.joints)
 
 
 def sound(evidence: Evidence, features: Features, body: BodyModel, settings: Estimation) -> Evidence:

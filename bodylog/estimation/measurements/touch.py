@@ -1,5 +1,7 @@
 """Touch as a sighting: while skin and image are stroked in synchrony, the stroking hand is at the effector."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ...body_model import BodyModel
@@ -13,30 +15,22 @@ COUNTS = 1e-3
 """A touch with less weight, a thousandth of a synchronous one, is used but not counted as used."""
 
 
-class Touch:
-    """The sense of touch: a synchronous stroke locates the effector at the hand that strokes it."""
-
-    group = "touch"
-
-    def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
-        """Touch, where the body predicts the effector."""
-        return ("touch",) if "effector" in body.senses else ()
-
-    def read(self, name: str, features: Features, body: BodyModel, whole: bool = True) -> Measured:
-        """Read the effector's positions by touch."""
-        found, count = sightings(features, body, whole)
-        seen = len(features.touches or ())
-        paired = sum(bool(np.isfinite(pair.delay)) and pair.weight <= COUNTS for pair in features.synchrony)
-        reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
-        return Measured(found, health(seen, count, reasons))
+def read(features: Features, body: BodyModel) -> Mapping[str, Measured]:
+    """Read the effector's positions by touch, where the body predicts the effector."""
+    if "effector" not in body.senses:
+        return {}
+    (found, count), seen = sightings(features, body), len(features.touches or ())
+    paired = sum(bool(np.isfinite(pair.delay)) and pair.weight <= COUNTS for pair in features.synchrony)
+    reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
+    return {"touch": Measured(found, health(seen, count, reasons))}
 
 
-def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[Sighting, int]:
+def sightings(features: Features, body: BodyModel) -> tuple[Sighting, int]:
     """Effector by touch, positions and variances (K,2) px, px²; and how many touches are used.
 
     ln g_t = −b₁ w |g_v − o_v|² + const is a Gaussian of variance 1/(2 b₁ w) about the hand, or about the learned
-    position of the touched cell. A hand strokes along the limb, so errors of one touch's frames are correlated: `whole`
-    makes all of them count as one sighting.
+    position of the touched cell. A hand strokes along the limb, so errors of one touch's frames are correlated: all of
+    them count as one sighting.
     """
     hand, touches, count = features.hand, features.touches or (), 0
     if hand is None:
@@ -48,7 +42,7 @@ def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[
         if has_weight(pair) and during.any():
             u, v, spread = _place(body, touches[pair.touch].strongest)
             places[during] = hand.values[during] - (u, v)
-            variance[during] = spread / pair.weight * (during.sum() if whole else 1)
+            variance[during] = spread / pair.weight * during.sum()
             count += pair.weight > COUNTS
     kept = rows_seen(places)
     found = (hand.t[kept], places[kept], variance[kept], hand.source_ns[kept])

@@ -1,36 +1,31 @@
 """A point on the arm tracked in images: two rows, u and v in px."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
-from ...types import Array, Features
+from ...types import Array, Features, Series
 from .contract import Measured, health
 from .long_arrays import rows
 from .long_arrays import seen as seen_rows
 from .records import Sighting
 
 
-class Track:
-    """The sense of vision: every track of the features that the body predicts."""
+def read(features: Features, body: BodyModel) -> Mapping[str, Measured]:
+    """Read every track that the body predicts, in the log's order; NaN where it was not seen."""
+    return {name: _read(name, track, body) for name, track in features.tracks.items() if name in body.senses}
 
-    group = "vision"
 
-    def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
-        """The tracks, in the log's order."""
-        return tuple(name for name in features.tracks if name in body.senses)
-
-    def read(self, name: str, features: Features, body: BodyModel, whole: bool = True) -> Measured:
-        """Read the positions of a track; NaN where it was not seen."""
-        track = features.tracks[name]
-        rising = ascending(track.t)
-        seen = seen_rows(track.values)
-        reasons = {"time runs backwards": (~rising).sum(), "out of view": (rising & ~seen).sum()}
-        counts = health(len(track.t), (rising & seen).sum(), reasons, gap(track.t[rising & seen]))
-        model, noise = body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
-        var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
-        values, kept = np.where(seen[:, None], track.values, np.nan), rows(rising)
-        t, values, var, source = track.t[kept], values[kept], var[kept], track.source_ns[kept]
-        return Measured(Sighting(name, model, t, values, var, source, _common(model, noise)), counts)
+def _read(name: str, track: Series, body: BodyModel) -> Measured:
+    rising, seen = ascending(track.t), seen_rows(track.values)
+    reasons = {"time runs backwards": (~rising).sum(), "out of view": (rising & ~seen).sum()}
+    counts = health(len(track.t), (rising & seen).sum(), reasons, gap(track.t[rising & seen]))
+    model, noise = body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
+    var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
+    values, kept = np.where(seen[:, None], track.values, np.nan), rows(rising)
+    t, values, var, source = track.t[kept], values[kept], var[kept], track.source_ns[kept]
+    return Measured(Sighting(name, model, t, values, var, source, _common(model, noise)), counts)
 
 
 def ascending(t: Array) -> Array:

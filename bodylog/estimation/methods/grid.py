@@ -84,9 +84,8 @@ def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple
     """Senses on the grid with their variances: the paper's by preset, else by `precision`."""
     if settings.preset == "paper":
         settings = replace(settings, precision="fixed", touch="literal")
-    # descent integrates over time, so frames of one touch may count separately;
     # faults are reported, but their readings are used as in the paper
-    evidence = warned(screened(features, body, settings, whole=False, repairs=False), body, settings)
+    evidence = warned(screened(features, body, settings, repairs=False), body, settings)
     rate = settings.rate or RATE
     line = timeline(evidence, rate)
     t, paper = line.t[line.outputs], settings.precision == "fixed"
