@@ -7,7 +7,6 @@ import numpy as np
 from ...body_model import BodyModel, Noise, TouchConstants
 from ...errors import UsageError
 from ...types import Finding, Series
-from .track import ascending
 from .wording import listed
 
 STEP = 2.0 * np.pi / 4096.0
@@ -34,9 +33,13 @@ def no_body_findings(cameras: Sequence[str]) -> Iterator[Finding]:
 
 
 def reading_findings(joints: Series) -> Iterator[Finding]:
-    """Yield remarks on stamps and readings: steps back, repeats, gaps, joints without readings."""
-    yield from (Finding("warning", f"joints: {text}") for text in _stamps(joints))
-    share = (np.diff(joints.values, axis=0) == 0.0).mean(axis=0) if len(joints.t) > 1 else np.zeros(len(joints.names))
+    """Yield remarks on readings: gaps, repeats, joints without readings."""
+    t, steps = joints.t, np.diff(joints.t)
+    # longer than twenty usual steps, and half a second
+    if len(steps) and (pause := steps > max(20.0 * np.median(steps), 0.5)).any():
+        pauses = [f"{at:.3f} s for {long:.2f} s" for at, long in zip(t[:-1][pause], steps[pause], strict=True)]
+        yield Finding("warning", f"joints: no reading from {listed(pauses, ' times')}")
+    share = (np.diff(joints.values, axis=0) == 0.0).mean(axis=0) if len(t) > 1 else np.zeros(len(joints.names))
     if often := [f"{joints.names[j]} {share[j]:.0%}" for j in np.argsort(-share, kind="stable") if share[j] > 0.5]:
         yield Finding("info", f"joints: readings that repeat the one before: {listed(often)}, as at rest or in steps")
     if mute := _mute(joints):
@@ -45,17 +48,3 @@ def reading_findings(joints: Series) -> Iterator[Finding]:
 
 def _mute(joints: Series) -> list[str]:
     return [name for name, y in zip(joints.names, joints.values.T, strict=True) if not np.isfinite(y).any()]
-
-
-def _stamps(joints: Series) -> Iterator[str]:
-    t, rising = joints.t, ascending(joints.t)
-    steps, lasting = np.diff(t), np.diff(t[rising])
-    if (same := steps == 0.0).any():
-        yield f"{same.sum()} of {len(t)} stamps repeat the one before, first at {t[1:][same][0]:.3f} s"
-    if (back := steps < 0.0).any():
-        left = f"{(~rising).sum()} readings left out"
-        yield f"stamps run backwards {back.sum()} times, first at {t[1:][back][0]:.3f} s; {left}"
-    # longer than twenty usual steps, and half a second
-    if len(lasting) and (pause := lasting > max(20.0 * np.median(lasting), 0.5)).any():
-        pauses = zip(t[rising][:-1][pause], lasting[pause], strict=True)
-        yield f"no reading from {listed([f'{at:.3f} s for {long:.2f} s' for at, long in pauses], ' times')}"
