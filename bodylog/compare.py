@@ -72,11 +72,10 @@ def compare(
 def _asked(settings: Settings, subsets: Sequence[tuple[str, ...]], silent: tuple[str, ...]) -> Iterator[Settings]:
     """Every method with every subset of the senses that it can use, as settings."""
     from .estimation import METHODS
-    from .estimation.methods import choices
 
     for method in METHODS:
         for senses in subsets:
-            if choices.usable(method, senses):
+            if METHODS[method].senses.issuperset(senses):
                 asked = replace(settings.estimate, method=method, senses=senses, without=silent)
                 yield replace(settings, estimate=asked)
 

@@ -32,21 +32,27 @@ def estimate(
     """
     check(body, settings)
     method = METHODS[settings.method]
-    if features.poses:
-        with one_thread():
-            found = replace(still_poses(features, body, settings, method.can), can=method.can)
-        return replace(found, findings=(*found.findings, *consistency_findings(found, settings)))
     with one_thread(), solvable(settings.method):
-        timely = corrected(features, body, delay)
-        found = replace(finite(method.estimate(timely.features, body, settings)), can=method.can)
+        if features.poses:
+            found = still_poses(features, body, settings, method.can)
+        else:
+            found = _timely(features, body, settings, delay)
+    found = replace(found, can=method.can)
+    return replace(found, findings=(*found.findings, *consistency_findings(found, settings)))
+
+
+def _timely(features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float]) -> Estimate:
+    """The method's estimate from images at the time when they were taken."""
+    timely = corrected(features, body, delay)
+    found = finite(METHODS[settings.method].estimate(timely.features, body, settings))
+    used = dict(found.settings)
     if timely.delays:
         found = add_delay_uncertainty(as_stamped(found, features, timely.features), timely)
-        delays = {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
-        found = replace(found, settings={**found.settings, **delays})
-    weighed = [asdict(one) for one in timely.hypotheses] + list(found.settings.get("hypotheses", ()))
-    found = replace(found, settings={**found.settings, "hypotheses": weighed} if weighed else found.settings)
-    findings = (*timely.findings, *found.findings, *ignored_settings(settings), *consistency_findings(found, settings))
-    return replace(found, findings=findings)
+        used |= {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
+    if weighed := [*map(asdict, timely.hypotheses), *used.get("hypotheses", ())]:
+        used["hypotheses"] = weighed
+    findings = (*timely.findings, *found.findings, *ignored_settings(settings))
+    return replace(found, settings=used, findings=findings)
 
 
 def check(body: BodyModel, settings: Estimation) -> None:

@@ -28,11 +28,6 @@ def subsets(features: Features, body: BodyModel, settings: Estimation) -> tuple[
     return rows, tuple(name for name in (*body.joints, *visual) if name not in wanted)
 
 
-def usable(method: str, senses: tuple[str, ...]) -> bool:
-    """Whether a method can use all these senses."""
-    return METHODS[method].senses.issuperset(senses)
-
-
 def ignored_settings(settings: Estimation) -> tuple[Finding, ...]:
     """Warnings for settings that differ from their defaults and that the method ignores."""
     heeds, paper = METHODS[settings.method].heeds, settings.preset == "paper"

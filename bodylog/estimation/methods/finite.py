@@ -7,12 +7,12 @@ import numpy as np
 
 from ...errors import EvidenceError
 from ...types import Array, Estimate
-from ..measurements.long_arrays import seen
 
 
 def finite(found: Estimate) -> Estimate:
     """The same estimate; EvidenceError where any of its numbers is not finite, or a variance is below 0."""
-    for what, t, good in _numbers(found):
+    for what, t, numbers in _numbers(found):
+        good = np.asarray(np.isfinite(numbers).all(axis=tuple(range(1, numbers.ndim))))
         if not good.all():
             at, bad = float(t[good.argmin()]), len(good) - np.count_nonzero(good)
             raise _contradiction(f"{what} at {at:.3f} s is not a number by {found.method} ({bad} of {len(good)}):")
@@ -34,16 +34,14 @@ def _contradiction(what: str) -> EvidenceError:
 
 
 def _numbers(found: Estimate) -> Iterator[tuple[str, Array, Array]]:
-    """Arrays to check, their times (N,) s, and where (N,) they are numbers."""
-    t, var = found.joints.t, np.einsum("nii->ni", found.cov)
+    """Numbers (N,…) to check, with their times (N,) s; NaN where a variance is below 0."""
+    t, cov = found.joints.t, np.where(np.einsum("nii->ni", found.cov)[..., None] < 0.0, np.nan, found.cov)
+    of_joints = {"angle": found.joints.values, "rate": found.rate.values, "variance": cov}
+    if found.bias is not None:
+        of_joints["encoder offset"] = found.bias.values
     for j, name in enumerate(found.joints.names):
-        yield f"the angle of {name}", t, np.isfinite(found.joints.values[:, j])
-        yield f"the rate of {name}", t, np.isfinite(found.rate.values[:, j])
-        yield f"the variance of {name}", t, seen(found.cov[:, j]) & (var[:, j] >= 0.0)
-        if found.bias is not None:
-            yield f"the encoder offset of {name}", t, np.isfinite(found.bias.values[:, j])
-    yield "the free energy", t, np.isfinite(found.free_energy)
+        yield from ((f"the {what} of {name}", t, numbers[:, j]) for what, numbers in of_joints.items())
+    yield "the free energy", t, found.free_energy
     for name, track in found.predicted.items():
-        yield f"the place predicted of {name}", track.t, seen(track.values)
-        cov = found.predicted_cov[name]
-        yield f"the covariance predicted of {name}", track.t, seen(cov.reshape(len(cov), cov.shape[1] ** 2))
+        yield f"the place predicted of {name}", track.t, track.values
+        yield f"the covariance predicted of {name}", track.t, found.predicted_cov[name]
