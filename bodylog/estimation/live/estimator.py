@@ -14,6 +14,7 @@ from ..faults.encoder_offset import WALKS
 from ..inference.filter_records import Dynamics
 from ..inference.reacquisition import SILENCE
 from ..inference.sequential import SequentialFilter, State
+from ..measurements.gather import given_start
 from ..methods.table import METHODS
 from ..noise import typed
 from ..noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame, reach
@@ -54,7 +55,7 @@ class Estimator:
         UsageError for settings that need the whole log, and for variances of another body.
         """
         settings = settings or Estimation(precision="model", bias="off")
-        _needs_no_log(settings, body)
+        _needs_no_log(settings)
         if not lag >= 0:
             raise UsageError(f"lag: {lag} found, a time of at least 0 s is possible")
         self._body, self._settings, self._lag = body, settings, lag
@@ -66,7 +67,7 @@ class Estimator:
             name: ErrorCorrelation(noise.process, reach(model), noise.near.get(name, 0.0), PAST, order=noise.order)
             for name, model in self._inputs.models.items()
         }
-        self._first = np.full(len(body.joints), np.nan)
+        self._first, self._given = np.full(len(body.joints), np.nan), given_start(settings, body.joints)
         self._buffer: ReplayBuffer | None = None
         self._waiting: list[tuple[float, Observation]] = []
 
@@ -123,10 +124,10 @@ class Estimator:
 
     def _begin(self, readings: Sequence[Array]) -> ReplayBuffer:
         """An empty buffer with the initial belief; `readings` (M,) rad of this call."""
-        names, given, noise = self._body.joints, self._settings.start, self._noise
+        names, noise = self._body.joints, self._noise
         for angles in readings:
             self._first = np.where(np.isfinite(self._first), self._first, angles)
-        x = self._first if given is None else np.array(given, float)
+        x = self._first if self._given is None else self._given
         if not np.isfinite(x).all():
             unknown = ", ".join(name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle))
             raise LogError(f"joints: no reading of {unknown} yet; pass every joint once, or set `start`")
@@ -143,12 +144,10 @@ class Estimator:
         return ReplayBuffer(steps.first(x), self._lag, step)
 
 
-def _needs_no_log(settings: Estimation, body: BodyModel) -> None:
+def _needs_no_log(settings: Estimation) -> None:
     """UsageError for settings that need the whole log."""
     able = tuple(name for name, method in METHODS.items() if method.live)
     possible = {"method": able, "precision": ("model",), "bias": ("off", "on")}
     for name, values in possible.items():
         if (found := getattr(settings, name)) not in values:
             raise UsageError(f"{name}: {found!r} needs the whole log; possible live: {' or '.join(values)}")
-    if settings.start is not None and len(settings.start) != len(body.joints):
-        raise UsageError(f"start: {len(settings.start)} angles given, the body has {len(body.joints)} joints")

@@ -119,12 +119,17 @@ def _words(found: Health) -> str:
     return ", ".join([f"{found.used} of {found.seen} used", *(f"{n} {why}" for why, n in found.rejected.items())])
 
 
+def given_start(settings: Estimation, names: tuple[str, ...]) -> Array | None:
+    """Initial mean (M,) rad as set; UsageError for another number of angles."""
+    if settings.start is not None and len(settings.start) != len(names):
+        raise UsageError(f"start: {len(settings.start)} angles given, the body has {len(names)} joints")
+    return None if settings.start is None else np.array(settings.start, float)
+
+
 def start(evidence: Evidence, settings: Estimation, names: tuple[str, ...]) -> Array:
     """Initial mean (M,) rad: as set, or each joint's first sound reading, else its first one, used or not."""
-    if settings.start is not None:
-        if len(settings.start) != len(names):
-            raise UsageError(f"start: {len(settings.start)} angles given, the body has {len(names)} joints")
-        return np.array(settings.start, float)
+    if (given := given_start(settings, names)) is not None:
+        return given
     known = np.isfinite(evidence.read)
     if unknown := [name for j, name in enumerate(names) if not known[:, j].any()]:
         raise LogError(
