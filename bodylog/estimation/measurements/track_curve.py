@@ -152,13 +152,11 @@ def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, A
     """Mean times (B,), angles (B,M) and counts (B,M) of readings in spans of `width` s with all joints."""
     begins = spans(encoders.t, width)
     begins = begins[:: max(1, -(-len(begins) // most))]
-    low, high = np.searchsorted(encoders.t, begins), np.searchsorted(encoders.t, begins + width)
-    low, size = low[high > low], (high - low)[high > low]
-    starts = np.cumsum(size) - size
-    own = np.repeat(low - starts, size) + np.arange(size.sum())
-    known, since = np.isfinite(encoders.values[own]), (encoders.t[own] - encoders.t[0])[:, None]
-    parts = (known.astype(float), np.where(known, encoders.values[own], 0.0), known * since)
-    count, total, time = (np.add.reduceat(part, starts, axis=0) for part in parts)
+    bounds = np.searchsorted(encoders.t, np.column_stack([begins, begins + width]))
+    bounds = bounds[bounds[:, 0] < bounds[:, 1]].ravel()
+    known, since = np.isfinite(encoders.values), (encoders.t - encoders.t[0])[:, None]
+    parts = (known.astype(float), np.where(known, encoders.values, 0.0), known * since)
+    count, total, time = (np.add.reduceat(np.append(part, part[:1], axis=0), bounds)[::2] for part in parts)
     full = count.min(axis=1) >= np.maximum(0.5 * np.median(count), 1.0)
     count, total, time = count[full], total[full], time[full] / count[full]
     # a delay is known to a millisecond at best: joints whose mean times differ by more were not read together
