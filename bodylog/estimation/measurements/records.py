@@ -26,16 +26,23 @@ class Encoders:
     relative: Array | None = None
 
     def at(self, t: Array) -> Array:
-        """Readings (F,M) rad interpolated at t (F,) s, the first or last one beyond its end; NaN without any."""
-        known = [(self.t[there], y[there]) for y in self.values.T for there in [rows(np.isfinite(y))]]
-        each = [np.interp(t, *column) if len(column[0]) else np.full(len(t), np.nan) for column in known]
-        return np.stack(each, axis=1) if each else np.empty((len(t), 0))
+        """Readings (F,M) rad at t (F,) s, as `interpolated`."""
+        return interpolated(self.t, self.values, t)
 
     @cached_property
     def variance(self) -> Array:
         """Variance (M,) rad² of quantisation, or of noise where that is larger."""
         steps = [resolved(y[np.isfinite(y)]) for y in self.values.T]
         return np.asarray(np.fmax(steps, noise_variance(self.values)))
+
+
+def interpolated(t: Array, values: Array, at: Array) -> Array:
+    """Values (N,D) of t (N,) s at other times (F,) s, the first or last one beyond the end; NaN without any."""
+    found = np.full((len(at), values.shape[1]), np.nan)
+    for own, column in zip(found.T, values.T, strict=True):
+        if len(t[known := rows(np.isfinite(column))]):
+            own[:] = np.interp(at, t[known], column[known])
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,21 +1,23 @@
 """Inputs of predictive coding: each sense on one grid of times, with its variance."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
 from ...settings import Estimation
-from ...types import Array, Features
+from ...types import Array, Features, Finding
 from ..faults.screening import screened
 from ..measurements.gather import start
-from ..measurements.records import Encoders, Evidence, Sighting
+from ..measurements.records import Encoders, Evidence, Sighting, interpolated
 from ..measurements.timeline import Timeline, timeline
 from ..noise import typed
 from ..noise.noise_model import PAPER, resolve, warned
 from .paper_touch import Literal, literal
+from .results import Beliefs
 
 RATE = 20.0
 """Hz: the paper's Δt of 0.05 s."""
@@ -49,7 +51,8 @@ class Sense:
 class Plan:
     """What to integrate: senses, touch as printed, grid t (N,) s, Δt s, σ_x (M,), start (M,).
 
-    learning: λ, 1/s, the rate at which the prior follows the belief; 1 is the paper's.
+    moved (M,) rad²: variance of the motion until the next reading · learning: λ, 1/s, the rate at which the prior
+    follows the belief; 1 is the paper's.
     """
 
     senses: tuple[Sense, ...]
@@ -58,6 +61,7 @@ class Plan:
     dt: float
     sigma_x: Array
     start: Array
+    moved: Array
     learning: float = 1.0
 
     @property
@@ -90,16 +94,18 @@ def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple
     line = timeline(evidence, rate)
     t, paper = line.t[line.outputs], settings.precision == "fixed"
     noise = typed.precision(resolve(evidence, body, settings), settings, body.joints)
-    senses = [] if evidence.encoders is None else [_encoders(evidence.encoders, body, t, noise.encoder, paper)]
-    sigma_x = np.full(len(noise.encoder), PAPER[0]) if paper else _wander(senses, noise.encoder)
+    encoders = None if evidence.encoders is None else _encoders(evidence.encoders, body, t, noise.encoder, paper)
+    gains = PAPER[0] / (PAPER[0] + noise.encoder[None]) if paper else np.tile(GAINS[:, None], len(noise.encoder))
+    sigma_x, moved = _wander(encoders, noise.encoder, gains)
     felt = settings.touch == "literal" and any(s.name == "touch" for s in evidence.sightings)
     width = image_width(features, body) if paper else None
     seen = [s for s in typed.sightings(evidence.sightings, settings) if not (felt and s.name == "touch")]
+    senses = [] if encoders is None else [encoders]
     senses += [_visual(s, t, noise.scale.get(s.name, 1.0), width, typed.of_track(settings, s.name)) for s in seen]
     touch = literal(features, body, t, 1.0 / rate) if felt else None
     learning = Plan.learning if settings.lambda_ is None else settings.lambda_
     first = start(evidence, settings, body.joints)
-    return Plan(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, learning), evidence, line
+    return Plan(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, moved, learning), evidence, line
 
 
 def _encoders(found: Encoders, body: BodyModel, t: Array, variance: Array, printed: bool) -> Sense:
@@ -123,13 +129,8 @@ def on_grid(t: Array, values: Array, grid: Array) -> tuple[Array, Array]:
     A row is moved to its grid time along the line to its neighbour; NaN where no row is nearest.
     """
     rows = nearest(t, grid)
-    mine = nearest(grid, t)[rows] == np.arange(len(grid))
-    late = grid >= t[rows]
-    other = np.clip(rows + np.where(late, 1, -1), 0, len(t) - 1)
-    apart = np.where(other == rows, 1.0, t[other] - t[rows])
-    moved = values[rows] + ((grid - t[rows]) / apart)[:, None] * (values[other] - values[rows])
-    moved = np.where(np.isfinite(moved), moved, values[rows])
-    return np.where(mine[:, None], moved, np.nan), rows
+    mine = (nearest(grid, t)[rows] == np.arange(len(grid)))[:, None] & np.isfinite(values[rows])
+    return np.where(mine, interpolated(t, values, grid), np.nan), rows
 
 
 def nearest(t: Array, at: Array) -> Array:
@@ -137,12 +138,22 @@ def nearest(t: Array, at: Array) -> Array:
     return np.asarray(np.searchsorted(0.5 * (t[1:] + t[:-1]), at))
 
 
-def at_instants(line: Timeline, x: Array, dt: float, nats: Array) -> tuple[Array, Array, Array]:
-    """Of each instant: the grid's last row (E,), its angles and rates (E,2M) of x (N,M), and new nats (E,)."""
-    held = np.maximum(np.searchsorted(line.t[line.outputs], line.t, "right") - 1, 0)
-    rate, every = np.diff(x, axis=0, prepend=x[:1]) / dt, np.zeros(len(line.t))
+def at_instants(
+    line: Timeline, evidence: Evidence, encoders: Sense | None, x: Array, cov: Array, moved: Array, nats: Array,
+    settings: Mapping[str, Any], findings: tuple[Finding, ...] = (),
+) -> Beliefs:  # fmt: skip
+    """Beliefs x (N,M) on the grid, held until the next, at every instant; `moved` (N,M,M): their covariance by then."""
+    t, every, errors = line.t[line.outputs], np.zeros(len(line.t)), np.full((len(line.t), x.shape[1]), np.nan)
+    held, before = (np.maximum(np.searchsorted(t, line.t, side) - 1, 0) for side in ("right", "left"))
     every[line.outputs] = nats
-    return held, np.concatenate([x, rate], axis=1)[held], every
+    rate = np.diff(x, axis=0, prepend=x[:1]) / np.diff(t, prepend=-np.inf)[:, None]
+    if evidence.encoders is not None and encoders is not None:
+        then = before[line.encoders]
+        read, jac, _ = encoders.predict(x[then])
+        var = np.square(np.einsum("nmm->nm", jac)) * np.einsum("nii->ni", moved[then])
+        errors[line.encoders] = (evidence.encoders.values - read) / np.sqrt(encoders.sigma[then] + var)
+    z = np.concatenate([x, rate], axis=1)[held]
+    return Beliefs(z, cov[held], every, x[before], moved[before], errors, {}, settings, (), findings)
 
 
 def image_width(features: Features, body: BodyModel) -> float:
@@ -153,20 +164,18 @@ def image_width(features: Features, body: BodyModel) -> float:
     return float(max(seen, default=1.0))
 
 
-def _wander(encoders: Sequence[Sense], noise: Array) -> Array:
-    """σ_x (M,): motion variance with which a static belief predicts the next encoder reading best."""
-    if not encoders:
-        return noise
-    gains, s = GAINS[:, None], encoders[0].s
-    best = gains[innovations(s[1:], np.where(np.isfinite(s[0]), s[0], 0.0), gains).argmin(axis=0), 0]
-    return np.asarray(noise * best / (1.0 - best))
+def _wander(encoders: Sense | None, noise: Array, gains: Array) -> tuple[Array, Array]:
+    """σ_x (M,), and by how much (M,) rad² encoders then deviate from a static belief, beyond their noise (M,).
 
-
-def innovations(s: Array, x: Array, gain: Array) -> Array:
-    """Sum of squared innovations (…,M) of a static belief, x (M,) at first, that follows readings s (N,M) by a gain."""
-    squares = np.zeros(np.broadcast_shapes(x.shape, gain.shape))
-    for row in s:
+    σ_x is the motion variance with which the belief predicts the next reading best, at one of the gains (G,M).
+    """
+    if encoders is None:
+        return noise, np.zeros(len(noise))
+    x, squares = np.where(np.isfinite(encoders.s[0]), encoders.s[0], 0.0), np.zeros(gains.shape)
+    for row in encoders.s[1:]:
         nu = np.where(np.isfinite(row), row - x, 0.0)
         squares += nu * nu
-        x = x + gain * nu
-    return squares
+        x = x + gains * nu
+    best, count = np.take_along_axis(gains, squares.argmin(axis=0)[None], 0)[0], np.isfinite(encoders.s[1:]).sum(axis=0)
+    moved = np.maximum(squares.min(axis=0) / np.maximum(count, 1) - noise, 0.0)
+    return noise * best / (1.0 - best), moved if encoders.model is None else np.zeros(len(noise))

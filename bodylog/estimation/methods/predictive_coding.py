@@ -14,10 +14,8 @@ from ...settings import Estimation
 from ...types import Array, Estimate, Features, Finding
 from ..measurements.gather import silent
 from ..measurements.records import Evidence
-from ..measurements.timeline import Timeline
 from . import results
-from .grid import GAINS, Plan, at_instants, innovations, plan_for
-from .results import Beliefs
+from .grid import GAINS, Plan, at_instants, plan_for
 
 POSTURES, MARGIN = 16, 0.8
 """Postures of the log at which stability is checked, and the share of the largest stable Δt that is recommended."""
@@ -35,7 +33,10 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         why = findings[0].text if findings else "step: explicit; type --step implicit"
         raise UsageError(f"{why} (the belief left {FAR:g} rad)")
     findings = (*findings, *_without_encoders(plan, evidence, body.joints))
-    beliefs = _beliefs(plan, evidence, line, x, cov, nats, findings, explicit)
+    steps = {"step": "explicit" if explicit else "implicit", "dt": plan.dt, "sigma_x": plan.sigma_x.tolist()}
+    used = steps | {f"sigma_{s.name}": np.median(s.sigma, axis=0).tolist() for s in plan.senses}
+    moved = np.maximum(np.einsum("nii->ni", cov), plan.moved)[:, :, None] * np.eye(x.shape[1])
+    beliefs = at_instants(line, evidence, plan.encoders, x, cov, moved, nats, used, findings)
     return results.estimate("predictive-coding", body, evidence, line, beliefs)
 
 
@@ -142,35 +143,3 @@ def _stable_step_at(plan: Plan, x: Array) -> float:
     modes = np.linalg.eigvals(a)
     modes = modes[modes.real < -1e-9]
     return float((-2.0 * modes.real / np.abs(modes) ** 2).min()) if len(modes) else np.inf
-
-
-def _beliefs(
-    plan: Plan, evidence: Evidence, line: Timeline, x: Array, cov: Array, nats: Array,
-    findings: tuple[Finding, ...], explicit: bool,
-) -> Beliefs:  # fmt: skip
-    """Beliefs on the grid, held until the next, at every instant of the timeline."""
-    held, z, every = at_instants(line, x, plan.dt, nats)
-    before = np.maximum(np.searchsorted(plan.t, line.t, "left") - 1, 0)
-    errors, moved = np.full((len(line.t), x.shape[1]), np.nan), _moved(plan, x, cov)
-    if evidence.encoders is not None and (sense := plan.encoders) is not None:
-        then = before[line.encoders]
-        read, jac, _ = sense.predict(x[then])
-        slope = np.einsum("nmm->nm", jac)
-        std = np.sqrt(sense.sigma[then] + slope**2 * np.einsum("nii->ni", moved[then]))
-        errors[line.encoders] = (evidence.encoders.values - read) / std
-    settings = {"step": "explicit" if explicit else "implicit", "dt": plan.dt, "sigma_x": plan.sigma_x.tolist()}
-    settings |= {f"sigma_{s.name}": np.median(s.sigma, axis=0).tolist() for s in plan.senses}
-    return Beliefs(z, cov[held], every, x[before], moved[before], errors, {}, settings, (), findings)
-
-
-def _moved(plan: Plan, x: Array, cov: Array) -> Array:
-    """Covariance (N,M,M) of beliefs x (N,M) by the next reading, in which the arm has moved.
-
-    It grows by the encoders' mean squared deviation from the static belief, beyond their noise.
-    """
-    var, sense = np.einsum("nii->ni", cov), plan.encoders
-    if sense is not None and sense.model is None:
-        count, noise = np.isfinite(sense.s).sum(axis=0), sense.sigma[0]
-        square = innovations(sense.s, plan.start, plan.sigma_x / (plan.sigma_x + noise))
-        var = np.maximum(var, (square - count * noise) / np.maximum(count, 1))
-    return np.asarray(var[:, :, None] * np.eye(x.shape[1]))
