@@ -162,6 +162,35 @@ def test_too_few_readings_to_learn_noise_from_give_a_warning(world, method, coun
     assert len(warnings) == warned and all(f"{name} {count}" in text for text in warnings for name in drawn.body.joints)
 
 
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("count", [20, 40])
+def test_noise_far_above_the_bodys_is_learned_from_few_readings(world, method, count):
+    found, raw, ratio = [], [], []
+    for seed in range(6):
+        drawn = world(seed, duration=2.0)
+        body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=(0.002**2,) * 3))
+        joints = drawn.features.joints
+        few = replace(joints, t=joints.t[:count], values=joints.values[:count], source_ns=joints.source_ns[:count])
+        tracks = {name: _until(track, few.t[-1]) for name, track in drawn.features.tracks.items()}
+        estimated = estimate(replace(drawn.features, joints=few, tracks=tracks), body, Estimation(method=method))
+        error = estimated.joints.values - drawn.truth.values[:count]
+        columns = [joints.names.index(name) for name in body.joints]
+        found.append(np.square(error).mean())
+        raw.append(np.square(few.values[:, columns] - drawn.truth.values[:count]).mean())
+        ratio.append((np.square(error) / np.einsum("nii->ni", estimated.cov)).mean())
+        assert not any("--without" in finding.text for finding in estimated.findings)
+    assert np.mean(found) < 0.5 * np.mean(raw)
+    assert np.mean(ratio) < 3.0
+
+
+def test_advice_on_few_readings_is_not_to_leave_out_vision(world):
+    drawn = world(0, duration=0.3)
+    body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=(0.0002**2,) * 3))
+    found = estimate(drawn.features, body, Estimation(method="smoother"))
+    (advice,) = [finding.text for finding in found.findings if "standard deviations" in finding.text]
+    assert "too few to learn their noise from" in advice and "without" not in advice
+
+
 def _until(track, t):
     rows = track.t <= t
     std = None if track.std is None else track.std[rows]
@@ -177,11 +206,13 @@ def test_evidence_is_that_of_a_kalman_filter(order, known):
     fresh = np.zeros(400, bool)
     fresh[[0, 150]] = True
     ratios = 10.0 ** np.arange(-1.0, 10.0)
-    score, noise, _ = encoder_evidence.evidence(t, y, fresh, ratios, order, known)
-    usual, dt = np.median(np.diff(t)), np.diff(t, prepend=t[0])
-    vague = np.diag(1e8 / usual ** (2.0 * np.arange(order)))
+    usual = 3e-4
+    score, noise, _ = encoder_evidence.evidence(t, y, fresh, ratios, usual, order, known)
+    dt = np.diff(t, prepend=t[0])
+    vague = np.diag(1e8 / np.median(dt[1:]) ** (2.0 * np.arange(order)))
     for index, ratio in enumerate(ratios):
-        squares = logs = count = since = 0.0
+        squares = logs = count = 0.0
+        since = -1
         x, p = np.zeros(order), vague
         for k in range(400):
             move = sum(np.eye(order, k=d) * dt[k] ** d / math.factorial(d) for d in range(order))
@@ -194,9 +225,10 @@ def test_evidence_is_that_of_a_kalman_filter(order, known):
             if since >= encoder_evidence.SKIP:
                 squares, logs, count = squares + nu * nu / s, logs + np.log(s), count + 1
             x, p = x + p[0] / s * nu, p - np.outer(p[0], p[0]) / s
-        own = squares / count if known is None else known
-        assert noise[index] == pytest.approx(own, rel=1e-6)
-        assert score[index] == pytest.approx(-0.5 * (count * np.log(own) + squares / own + logs), abs=1e-3)
+        own = np.linspace(-1e-3, 1e-3, 3) + np.log(noise[index])
+        nats = -0.5 * (count * own + squares * np.exp(-own) + logs + 0.5 * (own - np.log(usual)) ** 2)
+        assert score[index] == pytest.approx(nats[1], abs=1e-3)
+        assert known == pytest.approx(noise[index]) if known else nats.argmax() == 1
 
 
 def test_joints_at_rest_have_the_least_process_variance():

@@ -34,8 +34,8 @@ def test_encoder_noise_of_quantised_readings_is_the_step(method, senses, step, n
     found = estimate(world.features, world.body, Estimation(method=method, senses=senses))
     error, nees = judged(world, found.joints, found.cov)
     assert error < 0.75 * max(step, noise) and nees < 1.8
-    # variances are bounded at a microradian, and a joint at rest may be off by half a step
-    assert nees > (0.4 if noise else 0.02 if step < 1e-5 else 0.15)
+    # variances are bounded at a microradian, the body's counts a little, and a joint at rest may be off by half a step
+    assert nees > (0.4 if noise else 0.005 if step < 1e-5 else 0.15)
 
 
 @pytest.mark.parametrize("seed", [100, 101, 102, 103])

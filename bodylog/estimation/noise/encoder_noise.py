@@ -9,7 +9,7 @@ from ...types import Array
 from ..inference.gate import GATE
 from ..measurements.long_arrays import median, median_step, rows
 from ..measurements.records import Encoders
-from .encoder_evidence import evidence
+from .encoder_evidence import STATES, evidence
 from .quantisation import dithered, shared_variance
 from .visibility import LONG
 
@@ -23,8 +23,6 @@ LONGEST = 128
 COARSE, FINE = 2.0 ** -np.linspace(0.0, 11.0, 16), 2.0 ** np.linspace(0.7, -0.7, 8)
 """Memories tried over the longest; then, over the best of these. A parabola through the best three is exact to .05 in
 the logarithm of the density."""
-FEWEST = 30
-"""Readings of a joint that are too few to learn its noise."""
 BREAK = 10.0
 """Robust standard deviations: a larger second difference is a false reading, where the filter restarts."""
 AROUND = 5
@@ -73,7 +71,7 @@ def _of_joint(t: Array, y: Array) -> Series:
     most = MOST * per_average(t)
     begin = max(0, (len(t) - most) // 2)
     t, y = t[begin : begin + most], y[begin : begin + most]
-    if len(t) <= FEWEST or np.ptp(y) == 0.0:
+    if len(t) // per_average(t) <= STATES or np.ptp(y) == 0.0:
         return Series(t, None, t, repeated=shared_variance(t, y) if len(t) else 1.0)
     spread, added, least = dithered(t, y)
     averages, each = _averages(t, spread)
@@ -83,18 +81,20 @@ def _of_joint(t: Array, y: Array) -> Series:
 def learn(
     joints: list[Series], encoder: Array, process: Array, order: int = 2, known: Array | None = None
 ) -> Learned:  # fmt: skip
-    """Learn encoder variances and process densities by evidence; a joint with few readings keeps the given ones.
+    """Learn encoder variances and process densities by evidence, the given variance counting as one reading.
 
-    Quantised readings are dithered over their step, whose variance is the least.
+    A joint that reads nothing, or always the same, keeps the given ones. Quantised readings are dithered over their
+    step, whose variance is the least.
     known (M,) rad²: variances of the dithered readings, for which only process densities are learned.
     """
     encoder, found, process, nats = encoder.copy(), encoder.copy(), process.copy(), 0.0
     for joint, one in enumerate(joints):
         if one.y is not None:
-            given = None if known is None else float(known[joint])
-            found[joint], process[joint], own = likeliest((one.t, one.y, one.fresh), one.each, order, given)
+            readings, usual = (one.t, one.y, one.fresh), encoder[joint] + one.added
+            given = None if known is None else known[joint] / one.each
+            found[joint], process[joint], own = likeliest(readings, one.each, usual, order, given)
             encoder[joint], nats = max(found[joint] - one.added, one.least), nats + own
-        elif known is None:
+        else:
             encoder[joint] *= one.repeated
     return Learned(order, encoder, found, process, nats)
 
@@ -107,7 +107,7 @@ def followable(encoders: Encoders, encoder: Array, process: Array, order: int) -
     process = process.copy()
     for joint, column in enumerate(encoders.values.T):
         known = np.isfinite(column)
-        if known.sum() > FEWEST:
+        if known.sum() // per_average(encoders.t[known]) > STATES:
             (series, each), noise = _averages(encoders.t[known], column[known]), encoder[joint]
             process[joint] = noise * _followed_by(series, process[joint] / noise, noise / each, order)
     return process
@@ -120,15 +120,18 @@ def floor(t: Array, encoder: Array, order: int) -> Array:
 
 
 def likeliest(
-    series: tuple[Array, Array, Array], each: int, order: int = 2, known: float | None = None
+    series: tuple[Array, Array, Array], each: int, usual: float, order: int = 2, known: float | None = None
 ) -> tuple[float, float, float]:
-    """Noise variance, unless `known`, and density of most evidence of means of `each` readings; that evidence."""
-    step, own, memory = median_step(series[0]), None if known is None else known / each, float(LONGEST)
+    """Noise variance and density of most evidence of means of `each` readings; that evidence.
+
+    usual: noise variance of a reading before any is known · known: that of a mean.
+    """
+    step, memory = median_step(series[0]), float(LONGEST)
     for around in (COARSE, FINE):
         memories = memory * around
         # a ratio of 1 per average has a memory of one average
         ratios = memories ** (-2 * order) / step ** (2 * order - 1)
-        score, noise, lag = evidence(*series, ratios, order, own)
+        score, noise, lag = evidence(*series, ratios, usual / each, order, known)
         memory = float(memories[score.argmax()])
     ratio, variance, nats = _peak(ratios, score, noise)
     if lag[score.argmax()] > GATE:
@@ -139,8 +142,7 @@ def likeliest(
 def _followed_by(series: tuple[Array, Array, Array], ratio: float, variance: float, order: int) -> float:
     """The ratio, doubled until a filter of a noise variance keeps up with all motion."""
     raised = ratio * 2.0 ** np.arange(24)
-    _, noise, lag = evidence(*series, raised, order)
-    keeps = lag * np.sqrt(noise / variance) <= GATE
+    keeps = evidence(*series, raised, variance, order, variance)[2] <= GATE
     return float(raised[keeps.argmax() if keeps.any() else -1])
 
 
@@ -157,7 +159,7 @@ def _peak(ratios: Array, score: Array, noise: Array) -> tuple[float, float, floa
 def per_average(t: Array) -> int:
     """Readings per average."""
     step = median_step(t) if len(t) > 1 else SPACING
-    return max(1, min(round(SPACING / max(step, 1e-9)), len(t) // FEWEST))
+    return max(1, round(SPACING / max(step, 1e-9)))
 
 
 def averaged(found: Encoders) -> Encoders:

@@ -89,7 +89,7 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseM
     # white acceleration may take noise for motion where an arm stands and moves by turns, white jerk does not
     joints = encoder_noise.series(evidence.encoders)
     jerk = encoder_noise.learn(joints, encoder, process, 3)
-    white = encoder_noise.learn(joints, jerk.encoder, process, 2, jerk.dithered)
+    white = encoder_noise.learn(joints, encoder, process, 2, jerk.dithered)
     held = NoiseModel(white.encoder, process, None, scale, near).held(white.process, evidence.encoders)
     return replace(held, learned=(white, jerk))
 
@@ -138,17 +138,20 @@ def _positive(found: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Ar
     raise UsageError(text)
 
 
+FEWEST = 30
+"""Readings of an encoder from which its noise is known to a fourth of its variance, √(2/N)."""
+
+
 def warned(evidence: Evidence, body: BodyModel, settings: Estimation) -> Evidence:
-    """The evidence, with a warning if an encoder has too few readings to learn its noise."""
+    """The evidence, with a warning if an encoder has too few readings to learn its noise well."""
     if settings.precision != "auto" or evidence.encoders is None:
         return evidence
     counts = np.isfinite(evidence.encoders.values).sum(axis=0)
-    least = encoder_noise.FEWEST
-    few = [f"{name} {count}" for name, count in zip(body.joints, counts, strict=True) if 0 < count <= least]
+    few = [f"{name} {count}" for name, count in zip(body.joints, counts, strict=True) if 0 < count <= FEWEST]
     if not few:
         return evidence
     text = (
-        f"encoders: {', '.join(few)} readings, too few to learn their noise from (more than {least} needed); "
-        "the body's is used, and error bars are true only if these encoders are as noisy"
+        f"encoders: {', '.join(few)} readings, too few to learn their noise from reliably (more than {FEWEST} needed); "
+        "error bars may be too small"
     )
     return replace(evidence, findings=(*evidence.findings, Finding("warning", text)))
