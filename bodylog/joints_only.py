@@ -1,35 +1,60 @@
-"""Logs without a body: encoders alone, without images."""
+"""Logs without a body: encoders alone, without images, and remarks on the quality of their readings."""
 
 from collections.abc import Iterator
 from pathlib import Path
 
-from . import robot_model
-from .body_model import BodyModel
-from .errors import FormatError, LogError
+import numpy as np
+
+from . import joint_limits, robot_model
+from .body_model import BodyModel, Noise, TouchConstants
+from .errors import FormatError, LogError, UsageError
+from .estimation.measurements.wording import listed
 from .settings import Settings
 from .types import Features, Finding, Recording, Series
 
 
 def joints_alone(log: Path, settings: Settings) -> tuple[Recording, Features]:
     """Read a log's joints, with remarks on their readings; LogError without joints."""
-    from . import estimation
     from .recording import recording
 
     read = recording.read(log, settings, settings.input.strict)
     if read.joints is None or not len(read.joints.t):
         raise LogError(f"{log}: no joint readings, and no --body to find them by images; type: bodylog info {log}")
-    unseen = [path for role, path in read.roles.items() if role.partition("/")[0] == "camera"]
-    odd = (*(() if read.poses else estimation.reading_findings(read.joints)), *_outside(log, read.joints, settings))
-    findings = (*estimation.no_body_findings(unseen), *odd)
+    odd = () if read.poses else _reading_findings(read.joints)
+    findings = (_no_body(read), *odd, *_outside(log, read.joints, settings))
     return read, Features(read.joints, {}, None, (), (), {}, findings, poses=read.poses)
+
+
+def _no_body(read: Recording) -> Finding:
+    """The remark that no body is used, and which cameras are ignored."""
+    unseen = [path for role, path in read.roles.items() if role.partition("/")[0] == "camera"]
+    unused = f"; images of {', '.join(unseen)} are not used: type --body body.npz, which fit writes" if unseen else ""
+    text = f"no --body: encoders alone, which do not show constant offsets{unused}"
+    return Finding("warning" if unseen else "info", text)
+
+
+def _reading_findings(joints: Series) -> Iterator[Finding]:
+    """Yield remarks on readings: gaps, repeats, joints without readings."""
+    t, steps = joints.t, np.diff(joints.t)
+    # longer than twenty usual steps, and half a second
+    if len(steps) and (pause := steps > max(20.0 * np.median(steps), 0.5)).any():
+        pauses = [f"{at:.3f} s for {long:.2f} s" for at, long in zip(t[:-1][pause], steps[pause], strict=True)]
+        yield Finding("warning", f"joints: no reading from {listed(pauses, ' times')}")
+    share = (np.diff(joints.values, axis=0) == 0.0).mean(axis=0) if len(t) > 1 else np.zeros(len(joints.names))
+    if often := [f"{joints.names[j]} {share[j]:.0%}" for j in np.argsort(-share, kind="stable") if share[j] > 0.5]:
+        yield Finding("info", f"joints: readings that repeat the one before: {listed(often)}, as at rest or in steps")
+    if mute := _mute(joints):
+        yield Finding("warning", f"joints: {', '.join(mute)}: no reading is a number")
+
+
+def _mute(joints: Series) -> list[str]:
+    return [name for name, y in zip(joints.names, joints.values.T, strict=True) if not np.isfinite(y).any()]
 
 
 def _outside(log: Path, joints: Series, settings: Settings) -> Iterator[Finding]:
     """Remarks on joints beyond the limits of their URDF; the log's own URDF may be invalid."""
-    from . import estimation
-
     try:
-        yield from estimation.limit_findings(joints, *robot_model.limits(log, settings))
+        yield from joint_limits.limit_findings(joints, *robot_model.limits(log, settings))
     except FormatError as problem:
         if settings.kinematics.urdf is not None:
             raise
@@ -37,10 +62,17 @@ def _outside(log: Path, joints: Series, settings: Settings) -> Iterator[Finding]
 
 
 def without_body(read: Recording, settings: Settings) -> BodyModel:
-    """A body of joint names alone, with limits on their motion."""
+    """A body of all joints with readings, or those wanted, without other senses; UsageError for an unknown joint."""
     from . import estimation
 
     assert read.joints is not None
-    found = estimation.joints_body(read.joints, settings.body.joints)
+    mute, wanted = _mute(read.joints), settings.body.joints
+    known = [name for name in read.joints.names if name not in mute]
+    if unknown := [name for name in wanted or () if name not in known]:
+        raise UsageError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(known)}; type: bodylog info LOG")
+    names = tuple(wanted or known)
+    # joints that never move keep this process noise, 1 rad²/s³; others learn theirs
+    noise = Noise((joint_limits.STEP**2 / 12.0,) * len(names), {}, (1.0,) * len(names))
+    found = BodyModel(names, {}, noise, TouchConstants(1.0, 0.005), {})
     estimation.check(found, settings.estimate)
     return found

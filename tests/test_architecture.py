@@ -37,7 +37,7 @@ ROOMS = {
 }
 """Which parts of bodylog a room may import; what imports several rooms stands in LAYERS, each above the one before."""
 LAYERS = (
-    {"effector_poses", "robot_model"},
+    {"effector_poses", "joint_limits", "robot_model"},
     {"observed", "written_messages"},
     {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "joint_zeros",
      "joints_only", "online", "scoring", "verdict"},

@@ -11,8 +11,6 @@ from ..types import Estimate, Features
 from .faults.consistency import consistency_findings
 from .inference import kernel
 from .measurements import gather
-from .measurements.joint_limits import limit_findings
-from .measurements.joints_alone import joints_body, no_body_findings, reading_findings
 from .methods.choices import ignored_settings
 from .methods.finite import finite, solvable
 from .methods.table import METHODS
@@ -20,7 +18,7 @@ from .noise import typed
 from .poses.estimate import estimate as still_poses
 from .timing.correction import add_delay_uncertainty, as_stamped, corrected
 
-__all__ = ["METHODS", "check", "estimate", "joints_body", "limit_findings", "no_body_findings", "reading_findings"]
+__all__ = ["METHODS", "check", "estimate"]
 
 
 def estimate(

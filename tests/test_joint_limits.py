@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bodylog.estimation.measurements.joint_limits import limit_findings
+from bodylog.joint_limits import limit_findings
 from bodylog.kinematics import urdf
 from bodylog.kinematics.robot import Limits
 from bodylog.types import Series

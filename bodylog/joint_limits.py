@@ -5,10 +5,12 @@ from math import tau
 
 import numpy as np
 
-from ...kinematics.robot import Limits
-from ...types import Array, Finding, Series
-from .joints_alone import STEP
-from .wording import listed
+from .estimation.measurements.wording import listed
+from .kinematics.robot import Limits
+from .types import Array, Finding, Series
+
+STEP = 2.0 * np.pi / 4096.0
+"""rad: the step of a 12-bit encoder, assumed for one that never moves."""
 
 
 def limit_findings(joints: Series, limits: Mapping[str, Limits], source: str) -> Iterator[Finding]:
