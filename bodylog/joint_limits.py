@@ -2,18 +2,21 @@
 
 from collections.abc import Iterator, Mapping
 from math import tau
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .estimation.measurements.wording import listed
-from .kinematics.robot import Limits
 from .types import Array, Finding, Series
+from .wording import listed
+
+if TYPE_CHECKING:
+    from .kinematics.robot import Limits
 
 STEP = 2.0 * np.pi / 4096.0
 """rad: the step of a 12-bit encoder, assumed for one that never moves."""
 
 
-def limit_findings(joints: Series, limits: Mapping[str, Limits], source: str) -> Iterator[Finding]:
+def limit_findings(joints: Series, limits: "Mapping[str, Limits]", source: str) -> Iterator[Finding]:
     """Yield remarks on joints that read outside their limits (rad, m); `source`: where the limits are from.
 
     Where units or zeros differ from the URDF's, no joint gets a warning. They differ if one joint is a whole turn
@@ -40,7 +43,7 @@ def limit_findings(joints: Series, limits: Mapping[str, Limits], source: str) ->
         yield Finding("info", f"joints: other units or zeros than those of {source}, or another robot's: {some}")
 
 
-def _excess(y: Array, limits: Limits) -> Array:
+def _excess(y: Array, limits: "Limits") -> Array:
     """How far readings (N,) are beyond the limits; 0 within them, and where that is rounding or an encoder's step."""
     beyond = np.maximum(y - limits.upper, limits.lower - y)
     return np.where(beyond > limits.rounding + STEP, beyond, 0.0)

@@ -8,9 +8,9 @@ import numpy as np
 from . import joint_limits, robot_model
 from .body_model import BodyModel, Noise, TouchConstants
 from .errors import FormatError, LogError, UsageError
-from .estimation.measurements.wording import listed
 from .settings import Settings
 from .types import Features, Finding, Recording, Series
+from .wording import listed
 
 
 def joints_alone(log: Path, settings: Settings) -> tuple[Recording, Features]:

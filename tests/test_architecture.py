@@ -8,11 +8,12 @@ from pathlib import Path
 import bodylog
 
 ROOT = Path(__file__).parents[1]
-BELOW = {"errors", "version", "io", "runtime"}
+BELOW = {"errors", "version", "wording", "io", "runtime"}
 RECORDS = {*BELOW, "logs", "types", "body_model", "overlay_style", "score_names", "settings", "sources"}
 ROOMS = {
     "errors": set(),
     "version": set(),
+    "wording": set(),
     "runtime": {"errors"},
     "io": {"errors", "runtime"},
     "logs": BELOW,

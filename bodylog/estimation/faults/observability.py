@@ -6,10 +6,10 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Finding
+from ...wording import listed
 from ..measurements.gather import silent
 from ..measurements.long_arrays import rows
 from ..measurements.records import Encoders, Evidence, Sighting
-from ..measurements.wording import listed
 from .contract import Verdict
 from .repeats import SILENT
 

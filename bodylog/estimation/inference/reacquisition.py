@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ...types import Array, Finding
+from ...wording import listed
 from ..measurements.records import Encoders, Evidence
-from ..measurements.wording import listed
 from ..noise.correlated_noise import PendingFrame
 from .gate import GATE
 from .motion import carry

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bodylog.estimation.measurements.wording import listed
+from bodylog.wording import listed
 
 
 @pytest.mark.parametrize(
