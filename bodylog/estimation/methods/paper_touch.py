@@ -29,12 +29,11 @@ class Literal:
         return float(best - g), -2.0 * self.constants.b1 * g * (apart @ jac[0])
 
 
-def literal(features: Features, body: BodyModel, t: Array, dt: float) -> Literal | None:
-    """Touch on the grid t (N,) s; None without a hand or an effector track."""
-    hand, model = features.hand, body.senses.get("effector")
-    if hand is None or model is None or len(hand.t) == 0:
-        return None
+def literal(features: Features, body: BodyModel, t: Array, dt: float) -> Literal:
+    """Touch, of which there is a sighting, on the grid t (N,) s."""
+    hand = features.hand
+    assert hand is not None
     rows = np.maximum(np.searchsorted(hand.t, t + 1e-9, "right") - 1, 0)
     seen = np.isfinite(hand.values[rows]).all(axis=1) & (np.abs(t - hand.t[rows]) < max(dt, 0.2))
     temporal, _ = strongest(features, t)
-    return Literal(model, body.touch, seen & (temporal > 0), hand.values[rows], temporal)
+    return Literal(body.senses["effector"], body.touch, seen & (temporal > 0), hand.values[rows], temporal)
