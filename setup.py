@@ -12,10 +12,20 @@ from setuptools.build_meta import *  # noqa: F403
 from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
-FLAGS = ["-O3", "-std=c11", "-fPIC", "-shared", "-ffp-contract=off", "-Wall", "-Wextra", "-Wno-psabi"]
+FLAGS = [
+    "-O3",
+    "-std=c11",
+    "-fPIC",
+    "-shared",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-Wall",
+    "-Wextra",
+    "-Wno-psabi",
+]
 FLAGS += ["-fno-ivopts", "-Wno-ignored-optimization-argument"]
-"""Without fused multiplications, so that sums are rounded alike everywhere; GCC's loops are 25 % faster without ivopts,
-which Clang does not know."""
+"""Without fused multiplications, so that sums are rounded alike everywhere; square roots of vectors need no errno; GCC's
+loops are 25 % faster without ivopts, which Clang does not know."""
 ZIG = [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline"]
 """The compiler of a Python package. By default it compiles for the CPU that it runs on."""
 

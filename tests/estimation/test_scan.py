@@ -10,7 +10,7 @@ from bodylog.estimation.inference import adjoint
 from bodylog.estimation.inference.filter_records import Dynamics, Readings
 from bodylog.estimation.inference.gate import FLAT, GATE
 from bodylog.estimation.inference.reacquisition import START_STD
-from bodylog.estimation.inference.scan import scan
+from bodylog.estimation.inference.scan import Keep, scan
 
 JOINTS = 3
 
@@ -113,8 +113,10 @@ CASES = [(order, drift, tracks, count) for order in (2, 3) for drift in (False, 
 
 
 @pytest.fixture(params=CASES, ids=str)
-def drawn(request):
-    """Irregular stretches of readings, some absent, some wrong: (readings, dynamics, z, p)."""
+def drawn(request, monkeypatch):
+    """Irregular stretches of readings, some absent, some wrong, over several blocks: (readings, dynamics, z, p)."""
+    for module in ("scan", "adjoint"):
+        monkeypatch.setattr(f"bodylog.estimation.inference.{module}.BLOCK", 16)
     order, drift, tracks, c = request.param
     rng, length, rows = np.random.default_rng(order + 10 * tracks + drift), 40, 2 + tracks % 2
     dynamics = Dynamics(rng.uniform(0.1, 1.0, JOINTS), np.array([1e-4, 0.0, 1e-5]) if drift else None, order=order)
@@ -134,7 +136,7 @@ def drawn(request):
 
 
 def compared(readings, dynamics, z, p):
-    trace = scan(readings, dynamics, z, p, remember=True)
+    trace = scan(readings, dynamics, z, p, Keep.COVARIANCES)
     for c in range(z.shape[1]):
         prior, prior_p, mean, cov, _, nats = filtered(readings, dynamics, z, p, c)
         np.testing.assert_allclose(trace.prior[..., c], prior[:, :JOINTS], atol=1e-9)
@@ -162,9 +164,12 @@ def test_scan_knows_changing_noise_and_restarts(drawn):
 
 def test_backward_pass_is_rauch_tung_striebels(drawn):
     readings, dynamics, z, p = drawn
-    trace, c = scan(readings, dynamics, z, p, remember=True), z.shape[1]
+    trace, c = scan(readings, dynamics, z, p, Keep.COVARIANCES), z.shape[1]
     ends = np.zeros_like(z)
     found, _ = adjoint.smoothed(readings, trace, ends, dynamics)
+    outputs = np.r_[:JOINTS, dynamics.order * JOINTS : dynamics.size]
+    means, _ = adjoint.smoothed(readings, scan(readings, dynamics, z, p, Keep.MEANS), ends, dynamics)
+    np.testing.assert_allclose(means, found[:, outputs], atol=1e-12)
     # each stretch alone: nothing follows it
     alone = [replace(readings, **{name: np.ascontiguousarray(getattr(readings, name)[..., k : k + 1])
                                   for name in ("dt", "encoders", "encoder_var", "y", "jac", "var")})
@@ -176,9 +181,10 @@ def test_backward_pass_is_rauch_tung_striebels(drawn):
         prior, prior_p, mean, cov, move, _ = filtered(readings, dynamics, z, p, k)
         x, spread = smoothed(prior, prior_p, mean, cov, move)
         np.testing.assert_allclose(found[..., k], x, atol=1e-7)
-        single = scan(own, dynamics, z[:, k : k + 1], p[..., k : k + 1], remember=True)
-        ours = adjoint.covariances(own, single, dynamics)[..., 0]
-        np.testing.assert_allclose(ours, rows @ spread @ rows.T, atol=1e-8)
+        single = scan(own, dynamics, z[:, k : k + 1], p[..., k : k + 1], Keep.MEANS)
+        all_states, ours = adjoint.completed(own, single, ends[:, :1], dynamics)
+        np.testing.assert_allclose(all_states[..., 0], x, atol=1e-7)
+        np.testing.assert_allclose(ours[..., 0], rows @ spread @ rows.T, atol=1e-8)
 
 
 def test_stretches_that_follow_each_other_are_one(drawn):
@@ -186,20 +192,19 @@ def test_stretches_that_follow_each_other_are_one(drawn):
     c, names = z.shape[1], ("dt", "encoders", "encoder_var", "y", "jac", "var")
     whole = replace(readings, **{name: np.ascontiguousarray(np.concatenate(
         [getattr(readings, name)[..., k : k + 1] for k in range(c)])) for name in names})  # fmt: skip
-    one = scan(whole, dynamics, z[:, :1], p[..., :1], remember=True)
+    one = scan(whole, dynamics, z[:, :1], p[..., :1], Keep.COVARIANCES)
     length = len(readings.dt)
     for k in range(1, c):
         z[:, k], p[..., k] = one.z[k * length - 1, :, 0], one.p[k * length - 1, ..., 0]
-    trace = scan(readings, dynamics, z, p, remember=True)
-    cov = adjoint.covariances(readings, trace, dynamics)
-    ends = np.zeros_like(z)
+    trace, ends = scan(readings, dynamics, z, p, Keep.MEANS), np.zeros_like(z)
     for _ in range(c):
-        found, start = adjoint.smoothed(readings, trace, ends, dynamics)
+        _, start = adjoint.smoothed(readings, trace, ends, dynamics)
         ends = adjoint.before(start)
-    expected, _ = adjoint.smoothed(whole, one, np.zeros((dynamics.size, 1)), dynamics)
-    np.testing.assert_allclose(np.concatenate(np.moveaxis(found, -1, 0)), expected[..., 0], atol=1e-9)
-    expected = adjoint.covariances(whole, one, dynamics)[..., 0]
-    np.testing.assert_allclose(np.concatenate(np.moveaxis(cov, -1, 0)), expected, atol=1e-9)
+    x, cov = adjoint.completed(readings, trace, ends, dynamics)
+    one = scan(whole, dynamics, z[:, :1], p[..., :1], Keep.MEANS)
+    expected, expected_cov = adjoint.completed(whole, one, np.zeros((dynamics.size, 1)), dynamics)
+    np.testing.assert_allclose(np.concatenate(np.moveaxis(x, -1, 0)), expected[..., 0], atol=1e-9)
+    np.testing.assert_allclose(np.concatenate(np.moveaxis(cov, -1, 0)), expected_cov[..., 0], atol=1e-9)
 
 
 def test_candidates_stand_side_by_side(drawn):

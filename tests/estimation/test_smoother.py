@@ -93,5 +93,5 @@ def test_a_smoothed_log_keeps_nothing_of_the_size_of_its_gains(world, solver):
     trace = solver(problem).trace
     largest = max(part.size for part in vars(trace).values() if isinstance(part, np.ndarray))
     assert trace.p is None
-    assert trace.back is None
+    assert trace.marks is None
     assert largest == trace.cov.size

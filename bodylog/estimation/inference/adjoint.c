@@ -3,8 +3,8 @@
 #include "motion.h"
 
 struct adjoint {
-    int64_t length, stretches, joints, rows, order, offsets, tiles, even, width, outputs;
-    const double *dt, *encoder_var, *jac, *move, *gains, *weights, *nus, *z, *p;
+    int64_t length, stretches, joints, rows, order, offsets, tiles, even, width, outputs, p_rows;
+    const double *dt, *encoders, *encoder_var, *y, *jac, *move, *information, *gains, *weights, *z, *p;
     const uint8_t *reset;
     const double *end;
     double *start, *smooth, *cov;
@@ -60,22 +60,48 @@ static void undo_reset(struct back *b, int64_t i, int64_t width, int square)
         }
 }
 
-/* Adjoints (K) back over one row: λ − Hᵀ (gᵀ λ + weight · innovation). */
-static void undo_row(struct back *b, int64_t i, int64_t row, const lanes *g, lanes weight)
+/* Smoothed means z − P λ of the rows of p, into `found`. */
+static void mean(struct back *b, int64_t i, lanes *found)
 {
     const struct adjoint *s = b->s;
-    int64_t m = s->joints;
-    lanes pull = weight * own(&b->at, s->nus, i * s->rows + row);
-    for (int64_t a = 0; a < b->k; a++)
-        pull += g[a] * b->known[a];
-    if (row < m) {
-        b->known[row] -= pull;
-        if (s->offsets)
-            b->known[s->order * m + row] -= pull;
-        return;
+    int64_t k = b->k, n = s->p_rows;
+    for (int64_t r = 0; r < n; r++) {
+        lanes sum = own(&b->at, s->z, i * k + state_of(r, n, s->joints, k));
+        for (int64_t l = 0; l < k; l++)
+            sum -= own(&b->at, s->p, (i * n + r) * k + l) * b->known[l];
+        put(&b->at, s->smooth, i * n + r, sum);
+        found[r] = sum;
     }
-    for (int64_t j = 0; j < m; j++)
-        b->known[j] -= shared(&b->at, s->jac, (i * (s->rows - m) + row - m) * m + j) * pull;
+}
+
+/* Adjoints (K) back over the readings of an instant: λ − Hᵀ R⁻¹ (y − H x), where x is the smoothed mean. */
+static void undo_readings(struct back *b, int64_t i, const lanes *x)
+{
+    const struct adjoint *s = b->s;
+    int64_t m = s->joints, n = s->rows;
+    for (int64_t row = 0; row < n; row++) {
+        lanes information = own(&b->at, s->information, i * n + row), pull;
+        if (!any(information > 0.0))
+            continue;
+        if (row < m) {
+            pull = shared(&b->at, s->encoders, i * m + row) - x[row];
+            if (s->offsets)
+                pull -= x[s->p_rows - m + row];
+        } else {
+            pull = shared(&b->at, s->y, i * (n - m) + row - m);
+            for (int64_t j = 0; j < m; j++)
+                pull -= shared(&b->at, s->jac, (i * (n - m) + row - m) * m + j) * x[j];
+        }
+        pull = pick(information > 0.0, information * pull, all(0.0));
+        if (row < m) {
+            b->known[row] -= pull;
+            if (s->offsets)
+                b->known[b->k - m + row] -= pull;
+            continue;
+        }
+        for (int64_t j = 0; j < m; j++)
+            b->known[j] -= shared(&b->at, s->jac, (i * (n - m) + row - m) * m + j) * pull;
+    }
 }
 
 /* gᵀ W and gᵀ Ψ (W), without the states `row` and `off`. */
@@ -148,19 +174,6 @@ static void undo_encoder(struct back *b, int64_t i, int64_t row, const lanes *g,
         }
 }
 
-/* Smoothed mean: z − P λ. */
-static void mean(struct back *b, int64_t i)
-{
-    const struct adjoint *s = b->s;
-    int64_t k = b->k;
-    for (int64_t a = 0; a < k; a++) {
-        lanes sum = own(&b->at, s->z, i * k + a);
-        for (int64_t l = 0; l < k; l++)
-            sum -= own(&b->at, s->p, (i * k + a) * k + l) * b->known[l];
-        put(&b->at, s->smooth, i * k + a, sum);
-    }
-}
-
 /* Smoothed covariance of the outputs: P − P W P, of the angles and, with offsets, of what the encoders read. */
 static void covariance(struct back *b, int64_t i)
 {
@@ -189,7 +202,8 @@ static void covariance(struct back *b, int64_t i)
         }
 }
 
-static void undo_rows(struct back *b, int64_t i, int square)
+/* W and Ψ back over the rows of an instant, one after the other. */
+static void undo_rows(struct back *b, int64_t i)
 {
     const struct adjoint *s = b->s;
     for (int64_t n = 0; n < s->rows; n++) {
@@ -200,9 +214,7 @@ static void undo_rows(struct back *b, int64_t i, int square)
             continue;
         for (int64_t a = 0; a < b->k; a++)
             g[a] = own(&b->at, s->gains, (i * s->rows + row) * b->k + a);
-        if (!square)
-            undo_row(b, i, row, g, weight);
-        else if (row < s->joints)
+        if (row < s->joints)
             undo_encoder(b, i, row, g, weight);
         else
             undo_track(b, i, row, g, weight);
@@ -218,11 +230,14 @@ static void back_over(struct back *b)
     for (int64_t a = 0; a < k * width; a++)
         b->known[a] = own(&b->at, s->end, a);
     for (int64_t i = s->length - 1; i >= 0; i--) {
-        if (s->smooth)
-            mean(b, i);
         if (s->cov)
             covariance(b, i);
-        undo_rows(b, i, square);
+        if (square) {
+            undo_rows(b, i);
+        } else {
+            mean(b, i, b->more);
+            undo_readings(b, i, b->more);
+        }
         undo_reset(b, i, width, square);
         undo_motion(b, i, b->known, width, 1, width);
         if (square)
@@ -237,7 +252,7 @@ static void back_over(struct back *b)
 }
 
 /* 0, or 1 without memory, or 2 for a caller of another version. */
-EXPORT int adjoint(const struct adjoint *s, int64_t size)
+EXPORT CLONED int adjoint(const struct adjoint *s, int64_t size)
 {
     if (size != sizeof *s)
         return 2;

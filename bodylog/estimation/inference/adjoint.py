@@ -1,4 +1,8 @@
-"""Backward pass of the smoother in Bryson–Frazier form (adjoint.c): it needs the filter's gains, and no inverse."""
+"""Backward pass of the smoother (adjoint.c): smoothed means x = z − P λ, where λ is the adjoint, and covariances.
+
+Back over a reading y = H x + n of noise R the adjoint is λ − Hᵀ R⁻¹ (y − H x). The information of covariances is
+carried back in Bryson–Frazier form, which needs the filter's gains but no inverse.
+"""
 
 import ctypes
 
@@ -8,37 +12,85 @@ from ...types import Array
 from .filter_records import Dynamics, Readings
 from .kernel import fields, run
 from .motion import EVEN
-from .scan import Trace
+from .scan import BLOCK, Keep, Trace, scan
+
+NEAR = 1024
+"""Instants whose readings give the adjoint before the first of them, in most logs."""
 
 
 class _Adjoint(ctypes.Structure):
     _fields_ = fields(
-        "length stretches joints rows order offsets tiles even width outputs",
+        "length stretches joints rows order offsets tiles even width outputs p_rows",
         "",
-        "dt encoder_var jac move gains weights nus z p reset end start smooth cov",
+        "dt encoders encoder_var y jac move information gains weights z p reset end start smooth cov",
     )
 
 
 def smoothed(readings: Readings, trace: Trace, end: Array, dynamics: Dynamics) -> tuple[Array, Array]:
-    """Smoothed states (L,K,C), and adjoints (K,C) before the first instant, from the adjoint at the `end` (K,C)."""
-    z = np.empty_like(trace.z)
-    return z, _back(readings, trace, np.ascontiguousarray(end)[:, None], dynamics, smooth=z)[:, 0]
+    """Smoothed means (L,O,C) or (L,K,C) of the states that the trace keeps, and adjoints (K,C) before the first one.
+
+    From the adjoint at the `end` (K,C).
+    """
+    assert trace.p is not None
+    x = np.empty((*trace.p.shape[:2], trace.p.shape[-1]))
+    return x, _back(readings, trace, np.ascontiguousarray(end)[:, None], dynamics, smooth=x)[:, 0]
 
 
-def covariances(readings: Readings, trace: Trace, dynamics: Dynamics) -> Array:
-    """Smoothed covariances (L,O,O,C) of the angles and, with offsets, of the sums of angle and offset: O = M or 2 M.
+def at_start(readings: Readings, trace: Trace, dynamics: Dynamics) -> Array:
+    """Adjoints (K,C) before the first instant, by the instants NEAR it: what comes after them rarely matters."""
+    assert trace.p is not None
+    length, o, _, c = trace.p.shape
+    x = np.empty((min(NEAR, length), o, c))
+    return _back(readings, trace, np.zeros((trace.z.shape[1], 1, c)), dynamics, smooth=x)[:, 0]
+
+
+def completed(readings: Readings, trace: Trace, ends: Array, dynamics: Dynamics) -> tuple[Array, Array]:
+    """All smoothed states (L,K,C) and the covariances (L,O,O,C) of the angles and of what the encoders read.
+
+    The latter, sums of angle and offset, only with offsets: O = M or 2 M. ends (K,C): adjoint at each stretch's end.
+    Covariances and gains of a block of instants are computed again from the belief before it.
+    """
+    x, cov, adjoint, into = np.empty_like(trace.z), np.empty_like(trace.cov), ends, None
+    information = _ends(_starts(readings, trace, dynamics))
+    for at in _blocks(trace)[::-1]:
+        part, into = _block(readings, trace, at, dynamics, into)
+        x[at], adjoint = smoothed(part, into, adjoint, dynamics)
+        information = _back(part, into, information, dynamics, cov=cov[at])
+    return x, cov
+
+
+def _starts(readings: Readings, trace: Trace, dynamics: Dynamics) -> Array:
+    """W and Ψ (K,2K,C) at each stretch's start: of the first blocks alone, if what comes after them is rounding.
 
     The information Λ of everything after a stretch becomes W + Ψ Λ Ψᵀ at its start, where Ψ maps adjoints at the end
-    back to it. With Λ at each stretch's end known, the smoothed covariance is P − P Λ P.
+    back to it. The smoothed covariance is P − P Λ P.
     """
-    length, k, c = trace.z.shape
-    known = np.zeros((k, 2 * k, c))
-    np.einsum("kkc->kc", known[:, k:])[:] = 1.0
-    ends = _ends(_back(readings, trace, known, dynamics)) if c > 1 else np.zeros((k, k, 1))
-    size = readings.encoders.shape[1] * (1 if dynamics.offset is None else 2)
-    cov = np.empty((length, size, size, c))
-    _back(readings, trace, ends, dynamics, cov=cov)
-    return cov
+    (k, c), blocks, count = trace.z.shape[1:], _blocks(trace), 1
+    while True:
+        found = np.zeros((k, 2 * k, c))
+        np.einsum("kkc->kc", found[:, k:])[:] = 1.0
+        for at in blocks[:count][::-1]:
+            found = _back(*_block(readings, trace, at, dynamics), found, dynamics)
+        own, across = found[:, :k], found[:, k:]
+        later = np.einsum("aic,ijc,ajc->ac", across, own, across, optimize=True)
+        if count >= len(blocks) or (later <= np.finfo(float).eps * np.einsum("aac->ac", own)).all():
+            return found
+        count *= 2
+
+
+def _blocks(trace: Trace) -> list[slice]:
+    length = len(trace.z)
+    return [slice(first, min(first + BLOCK, length)) for first in range(0, length, BLOCK)]
+
+
+def _block(
+    readings: Readings, trace: Trace, at: slice, dynamics: Dynamics, into: Trace | None = None
+) -> tuple[Readings, Trace]:
+    """The readings and the trace, with gains, of a block of instants."""
+    assert trace.marks is not None
+    part, mark = readings.between(at.start, at.stop), trace.marks[at.start // BLOCK]
+    into = into if into is not None and len(into.z) == at.stop - at.start else None
+    return part, scan(part, dynamics, mark[:, -1], mark[:, :-1], Keep.COVARIANCES, into)
 
 
 def _back(
@@ -46,15 +98,17 @@ def _back(
     cov: Array | None = None,
 ) -> Array:  # fmt: skip
     """What the adjoint, or W and Ψ, (K,W,C) at the `end` of each stretch are at its start."""
-    assert trace.back is not None and trace.p is not None
-    (gains, weights, nus), start = trace.back, np.empty_like(end)
+    assert trace.information is not None and trace.p is not None
+    (gains, weights), start = trace.back or (None, None), np.empty_like(end)
     (length, m, shared), c = readings.encoders.shape, end.shape[-1]
+    length = length if smooth is None else len(smooth)
     run(
-        "adjoint", _Adjoint, length=length, stretches=c, joints=m, rows=weights.shape[1], order=dynamics.order,
-        offsets=dynamics.offset is not None, tiles=c // shared, even=EVEN[dynamics.order], width=end.shape[1],
-        outputs=0 if cov is None else cov.shape[1], dt=readings.dt, encoder_var=readings.encoder_var,
-        jac=readings.jac, move=None if readings.moves is None else readings.moves[0], gains=gains, weights=weights,
-        nus=nus, z=trace.z, p=trace.p, reset=readings.reset, end=end, start=start, smooth=smooth, cov=cov,
+        "adjoint", _Adjoint, length=length, stretches=c, joints=m, rows=trace.information.shape[1],
+        order=dynamics.order, offsets=dynamics.offset is not None, tiles=c // shared, even=EVEN[dynamics.order],
+        width=end.shape[1], outputs=0 if cov is None else cov.shape[1], p_rows=trace.p.shape[1], dt=readings.dt,
+        encoders=readings.encoders, encoder_var=readings.encoder_var, y=readings.y, jac=readings.jac,
+        move=None if readings.moves is None else readings.moves[0], information=trace.information, gains=gains,
+        weights=weights, z=trace.z, p=trace.p, reset=readings.reset, end=end, start=start, smooth=smooth, cov=cov,
     )  # fmt: skip
     return start
 

@@ -10,14 +10,17 @@ the work and cannot become unsymmetric by rounding. Shapes of the arrays are in 
 
 #define TWO_PI 6.283185307179586
 
+/* Variances whose product stays far from overflow. */
+enum { AT_ONCE = 8 };
+
 struct scan {
-    int64_t length, stretches, joints, tracks, rows, order, offsets, tiles, every, own_processes;
+    int64_t length, stretches, joints, tracks, rows, order, offsets, tiles, every, own_processes, p_rows, block;
     double gate, most, flat;
     const double *dt, *encoders, *encoder_var, *y, *jac, *var, *process, *drift, *more, *move, *shift, *noise;
     const double *restart; /* variances (O) of a joint's states before its first reading */
     const uint8_t *reset, *counted;
     const double *start_z, *start_p;
-    double *prior, *prior_cov, *z, *cov, *p, *end_p, *nats, *encoder_d, *gains, *weights, *nus;
+    double *prior, *prior_cov, *z, *cov, *p, *end_p, *nats, *encoder_d, *information, *gains, *weights, *marks;
 };
 
 struct belief {
@@ -25,7 +28,8 @@ struct belief {
     struct block at;
     int64_t k, width; /* K, K + 1 */
     lanes *rows, *projected, *cross, *noise, *work;
-    lanes nats;
+    lanes nats, spread; /* of the `counted` last readings, whose logarithm is not yet part of nats */
+    int counted;
 };
 
 /* Adds a row of the belief, of which the part left of the diagonal stands in its column. */
@@ -44,25 +48,32 @@ static inline void fill_lower(struct belief *b)
             b->rows[a * b->width + l] = b->rows[l * b->width + a];
 }
 
-/* The nats of one reading's innovation, 0 where it has no weight. */
-static inline lanes nats_of(lanes nu, lanes weight)
+/* The nats of a reading's innovation, 0 where it has no weight. The logarithm of several variances is taken at once. */
+static inline void count(struct belief *b, lanes nu, lanes weight)
 {
-    lanes spread = TWO_PI / pick(weight > 0.0, weight, all(TWO_PI));
-    return 0.5 * (nu * nu * weight + logarithm(spread));
+    b->nats += 0.5 * nu * nu * weight;
+    b->spread *= TWO_PI / pick(weight > 0.0, weight, all(TWO_PI));
+    if (++b->counted < AT_ONCE)
+        return;
+    b->nats += 0.5 * logarithm(b->spread);
+    b->spread = all(1.0);
+    b->counted = 0;
 }
 
-/* Condition the belief on row `row` of instant i: projected is P Hᵀ followed by minus the innovation. */
-static inline void condition(struct belief *b, const lanes *restrict projected, lanes weight, int64_t i, int64_t row,
-                             int counted)
+/* Condition the belief on row `row` of instant i with this noise, where it is present.
+
+projected is P Hᵀ followed by minus the innovation. */
+static inline void condition(struct belief *b, const lanes *restrict projected, lanes weight, lanes noise, int64_t i,
+                             int64_t row, int counted)
 {
     const struct scan *s = b->s;
     int64_t k = b->k, at = i * (s->joints + s->tracks * s->rows) + row;
     if (counted)
-        b->nats += nats_of(projected[k], weight);
-    if (s->gains) {
+        count(b, projected[k], weight);
+    if (s->information)
+        keep(&b->at, s->information, at, pick(weight > 0.0, 1.0 / noise, all(0.0)));
+    if (s->gains)
         keep(&b->at, s->weights, at, weight);
-        keep(&b->at, s->nus, at, -projected[k]);
-    }
     for (int64_t a = 0; a < k; a++) {
         lanes gain = projected[a] * weight, *restrict own_row = b->rows + a * b->width;
         if (s->gains)

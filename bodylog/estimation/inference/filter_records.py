@@ -1,6 +1,9 @@
 """Inputs of the filter kernel: dynamics and the readings of each stretch."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
 
 from ...types import Array
 from .gate import GATE
@@ -54,3 +57,10 @@ class Readings:
     more: Array | None = field(default=None, kw_only=True)
     moves: tuple[Array, Array, Array] | None = field(default=None, kw_only=True)
     gate: float = field(default=GATE, kw_only=True)
+
+    def between(self, first: int, last: int) -> "Readings":
+        """Those of some instants."""
+        parts: dict[str, Any] = {k: part[first:last] for k, part in vars(self).items() if isinstance(part, np.ndarray)}
+        if self.moves is not None:
+            parts["moves"] = tuple(part[first:last] for part in self.moves)
+        return replace(self, **parts)

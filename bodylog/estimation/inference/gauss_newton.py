@@ -44,7 +44,7 @@ def initial_sweep(problem: Problem, fold: Fold, warm: Solution | None) -> tuple[
     """Tangents and starts to begin with: from the encoders alone, or from the solution `warm`."""
     if warm is None:
         return initial_tangents(problem, fold)
-    return warm.tangents.again(), *starts(problem, fold, warm)
+    return warm.tangents.again(problem.evidence.sightings), *starts(problem, fold, warm)
 
 
 def far(z: Array, p: Array, next_z: Array, next_p: Array) -> float:

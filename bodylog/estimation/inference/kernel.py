@@ -46,7 +46,7 @@ def run(function: str, record: type[ctypes.Structure], **values: Any) -> None:
 
 def _address(array: Array) -> int:
     assert array.dtype in (np.float64, np.bool_) and array.flags.c_contiguous, (array.dtype, array.strides)
-    return int(array.ctypes.data)
+    return int(array.__array_interface__["data"][0])
 
 
 def _unusable(why: str) -> UsageError:

@@ -13,6 +13,13 @@
 #define EXPORT
 #endif
 
+/* Compiled twice by GCC, for CPUs with AVX-512 too; sums are rounded alike by both. */
+#if defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
+#define CLONED __attribute__((flatten, target_clones("avx512f", "default")))
+#else
+#define CLONED
+#endif
+
 /* For functions that are compiled once for each order of motion. */
 #define INLINE inline __attribute__((always_inline))
 

@@ -100,7 +100,7 @@ static void condition_track(struct belief *b, int64_t i, int64_t track, const la
             for (int64_t f = e; f < n; f++)
                 b->cross[e * n + f] -= share * b->cross[d * n + f];
         }
-        condition(b, row, weight, i, s->joints + track * n + d, 1);
+        condition(b, row, weight, noise[d], i, s->joints + track * n + d, 1);
     }
 }
 
@@ -171,7 +171,7 @@ static void condition_encoders(struct belief *b, int64_t i, const lanes *noise)
             add_row(b, first + j, all(1.0), ph);
         lanes size = ph[j] + noise[j] + (s->offsets ? ph[first + j] : all(0.0));
         ph[b->k] -= pick(present, y, all(0.0));
-        condition(b, ph, pick(present, 1.0 / size, all(0.0)), i, j, s->counted[j]);
+        condition(b, ph, pick(present, 1.0 / size, all(0.0)), noise[j], i, j, s->counted[j]);
     }
 }
 

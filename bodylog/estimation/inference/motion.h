@@ -6,6 +6,9 @@
 
 enum { MOST_ORDER = 3 };
 
+/* The state of which row r of n is: all k, or first the angles of the joints, then their offsets at the end. */
+static INLINE int64_t state_of(int64_t r, int64_t n, int64_t joints, int64_t k) { return r < joints ? r : k - n + r; }
+
 /* Derivatives of the angle, `apart` numbers from one to the next, moved by dt, in place: a Taylor series. */
 static INLINE void carry(lanes *a, int64_t apart, const int order, lanes dt)
 {

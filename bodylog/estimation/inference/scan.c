@@ -18,6 +18,17 @@ static void keep_means(const struct belief *b, int64_t n, double *z, int64_t i)
         keep(&b->at, z, i * n + a, b->rows[a * b->width + b->k]);
 }
 
+/* Rows (K) of the covariance: all, or those of the angles and offsets. */
+static void keep_rows(const struct belief *b, double *p, int64_t i)
+{
+    int64_t n = b->s->p_rows, k = b->k, width = b->width;
+    for (int64_t r = 0; r < n; r++) {
+        int64_t a = state_of(r, n, b->s->joints, k);
+        for (int64_t l = 0; l < k; l++)
+            keep(&b->at, p, (i * n + r) * k + l, l < a ? b->rows[l * width + a] : b->rows[a * width + l]);
+    }
+}
+
 /* Covariances (N,N) of the first m states, and from there on of the offsets. */
 static void keep_cov(const struct belief *b, int64_t n, int64_t m, double *p, int64_t i)
 {
@@ -31,6 +42,26 @@ static void keep_cov(const struct belief *b, int64_t n, int64_t m, double *p, in
         }
 }
 
+/* The belief (K,K+1), of which the part left of the diagonal is not used. */
+static void keep_belief(const struct belief *b, double *marks, int64_t block)
+{
+    int64_t size = b->k * b->width;
+    for (int64_t a = 0; a < size; a++)
+        keep(&b->at, marks, block * size + a, b->rows[a]);
+}
+
+/* Readings that are absent have no information and no weight. */
+static void keep_absent(const struct belief *b, int64_t i)
+{
+    const struct scan *s = b->s;
+    int64_t n = s->joints + s->tracks * s->rows;
+    for (int64_t row = 0; row < n; row++) {
+        keep(&b->at, s->information, i * n + row, all(0.0));
+        if (s->gains)
+            keep(&b->at, s->weights, i * n + row, all(0.0));
+    }
+}
+
 static void filter(struct belief *b)
 {
     const struct scan *s = b->s;
@@ -39,6 +70,10 @@ static void filter(struct belief *b)
     start(b);
     for (int64_t i = 0; i < s->length; i++) {
         b->nats = all(0.0);
+        b->spread = all(1.0);
+        b->counted = 0;
+        if (s->marks && i % s->block == 0)
+            keep_belief(b, s->marks, i / s->block);
         if (leaps(b, i))
             leap(b, i);
         else if (s->order == 3)
@@ -49,20 +84,22 @@ static void filter(struct belief *b)
             forget(b, i);
         keep_means(b, m, s->prior, i);
         keep_cov(b, m, m, s->prior_cov, i);
+        if (s->information)
+            keep_absent(b, i);
         gate_encoders(b, i, noise);
         condition_tracks(b, i);
         condition_encoders(b, i, noise);
         keep_means(b, k, s->z, i);
         keep_cov(b, m * (1 + s->offsets), m, s->cov, i);
         if (s->p)
-            keep_cov(b, k, k, s->p, i);
-        put(&b->at, s->nats, i, b->nats);
+            keep_rows(b, s->p, i);
+        put(&b->at, s->nats, i, b->nats + 0.5 * logarithm(b->spread));
     }
     keep_cov(b, k, k, s->end_p, 0);
 }
 
 /* 0, or 1 without memory, or 2 for a caller of another version. */
-EXPORT int scan(const struct scan *s, int64_t size)
+EXPORT CLONED int scan(const struct scan *s, int64_t size)
 {
     if (size != sizeof *s)
         return 2;

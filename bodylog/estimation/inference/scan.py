@@ -5,6 +5,7 @@ State z (K,C) = joint angles, rates[, accelerations][, encoder offsets]; the las
 
 import ctypes
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
@@ -14,22 +15,35 @@ from .gate import FLAT, GATE
 from .kernel import fields, run
 from .reacquisition import START_STD
 
+BLOCK = 256
+"""Instants of which covariances and gains are kept at a time, so that they stay in the cache."""
+
 
 class _Scan(ctypes.Structure):
     _fields_ = fields(
-        "length stretches joints tracks rows order offsets tiles every own_processes",
+        "length stretches joints tracks rows order offsets tiles every own_processes p_rows block",
         "gate most flat",
         "dt encoders encoder_var y jac var process drift more move shift noise restart reset counted start_z start_p "
-        "prior prior_cov z cov p end_p nats encoder_d gains weights nus",
+        "prior prior_cov z cov p end_p nats encoder_d information gains weights marks",
     )
+
+
+class Keep(Enum):
+    """What a trace keeps: the filter's beliefs, also what smoothed means need, or also what their covariances need."""
+
+    BELIEFS = 0
+    MEANS = 1
+    COVARIANCES = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
     """Per instant: prior mean and covariance of x, posterior state z, nats, and covariances cov (L,O,O,C) of angles.
 
-    With offsets also theirs: O = M or 2 M · end_p (K,K,C): covariance of the state at the end · p (L,K,K,C): always,
-    for the smoother, and `back`: gains, weights and innovations of rows, whose weight is 0 where there is no reading.
+    With offsets also theirs: O = M or 2 M · end_p (K,K,C): covariance of the state at the end.
+    For the smoother: p (L,O,K,C) or (L,K,K,C), rows of the state's covariance · information (L,R,C): inverse noise of
+    each reading, 0 where there is none · back: gains (L,R,K,C) and weights (L,R,C) of readings · marks (B,K,K+1,C): the
+    belief before every BLOCK instants, the upper triangle of its covariance beside its mean.
     """
 
     prior: Array
@@ -39,19 +53,21 @@ class Trace:
     end_p: Array
     nats: Array
     encoder_d: Array
-    p: Array | None
-    back: tuple[Array, Array, Array] | None
+    p: Array | None = None
+    information: Array | None = None
+    back: tuple[Array, Array] | None = None
+    marks: Array | None = None
 
     def without_gains(self) -> "Trace":
         """The trace without what only the backward pass needs, most of its memory."""
-        return replace(self, p=None, back=None)
+        return replace(self, p=None, information=None, back=None, marks=None)
 
 
 def scan(
-    readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: bool = False, into: Trace | None = None,
+    readings: Readings, dynamics: Dynamics, z: Array, p: Array, keep: Keep = Keep.BELIEFS, into: Trace | None = None,
     every: int = 1,
 ) -> Trace:  # fmt: skip
-    """Filter every stretch from its own start z (K,C), p (K,K,C); `remember` keeps what the smoother needs.
+    """Filter every stretch from its own start z (K,C), p (K,K,C).
 
     Candidates stand side by side: several stretches to each of the readings, with their own process and frame
     variances. Only every `every`-th stretch keeps more than nats. `into`: a trace of the same shape to overwrite, as
@@ -60,29 +76,37 @@ def scan(
     (length, m, shared), c = readings.encoders.shape, z.shape[1]
     _, tracks, rows, _ = readings.y.shape
     sizes = m, m if dynamics.drift is None else 2 * m, len(z), m + tracks * rows
-    trace = into or _empty(length, sizes, c, -(-c // every), remember)
+    trace = into or _empty(length, sizes, c, -(-c // every), keep)
     move, shift, noise = readings.moves or (None, None, None)
     counted = np.ones(m, bool) if dynamics.is_prior is None else ~dynamics.is_prior
-    gains, weights, nus = trace.back or (None, None, None)
+    gains, weights = trace.back or (None, None)
     run(
         "scan", _Scan, length=length, stretches=c, joints=m, tracks=tracks, rows=rows, order=dynamics.order,
         offsets=dynamics.drift is not None, tiles=c // shared, every=every,
-        own_processes=dynamics.process.ndim > 1, gate=readings.gate, most=GATE * GATE, flat=FLAT, dt=readings.dt,
+        own_processes=dynamics.process.ndim > 1, p_rows=0 if trace.p is None else trace.p.shape[1], block=BLOCK,
+        gate=readings.gate, most=GATE * GATE, flat=FLAT, dt=readings.dt,
         encoders=readings.encoders, encoder_var=readings.encoder_var, y=readings.y, jac=readings.jac,
         var=readings.var, process=np.ascontiguousarray(dynamics.process), drift=dynamics.drift, more=readings.more,
         move=move, shift=shift, noise=noise, restart=np.square(START_STD), reset=readings.reset, counted=counted,
         start_z=np.ascontiguousarray(z), start_p=np.ascontiguousarray(p), prior=trace.prior,
         prior_cov=trace.prior_cov, z=trace.z, cov=trace.cov, p=trace.p, end_p=trace.end_p, nats=trace.nats,
-        encoder_d=trace.encoder_d, gains=gains, weights=weights, nus=nus,
+        encoder_d=trace.encoder_d, information=trace.information, gains=gains, weights=weights, marks=trace.marks,
     )  # fmt: skip
     return trace
 
 
-def _empty(length: int, sizes: tuple[int, int, int, int], stretches: int, kept: int, remember: bool) -> Trace:
+def _empty(length: int, sizes: tuple[int, int, int, int], stretches: int, kept: int, keep: Keep) -> Trace:
     m, o, k, rows = sizes
-    back = (np.empty((length, rows, k, kept)), *np.zeros((2, length, rows, kept))) if remember else None
-    return Trace(
+    trace = Trace(
         np.empty((length, m, kept)), np.empty((length, m, m, kept)), np.empty((length, k, kept)),
         np.empty((length, o, o, kept)), np.empty((k, k, kept)), np.empty((length, stretches)),
-        np.empty((length, m, kept)), np.empty((length, k, k, kept)) if remember else None, back,
+        np.empty((length, m, kept)),
     )  # fmt: skip
+    if keep is Keep.BELIEFS:
+        return trace
+    information = np.empty((length, rows, kept))
+    if keep is Keep.MEANS:
+        marks = np.empty((-(-length // BLOCK), k, k + 1, kept))
+        return replace(trace, p=np.empty((length, o, k, kept)), information=information, marks=marks)
+    back = np.empty((length, rows, k, kept)), np.empty((length, rows, kept))
+    return replace(trace, p=np.empty((length, k, k, kept)), information=information, back=back)

@@ -98,8 +98,10 @@ class Tangents:
             for folded, own in ((readings.y, self._y), (readings.jac, self._jac), (readings.var, self._var)):
                 _put(fold, folded, index, events, own[index])
 
-    def again(self) -> "Tangents":
-        """An independent copy."""
+    def again(self, sightings: tuple[Sighting, ...]) -> "Tangents":
+        """An independent copy; for other sightings of the same frames, new tangents at the same points."""
+        if sightings is not self._sightings:
+            return Tangents(sightings, self.points)
         other = copy(self)
         other._weighed = None
         other._y, other._jac, other._model_var, other._var = (

@@ -17,7 +17,7 @@ from .initial_path import priors
 from .instant import Line
 from .problem import Problem
 from .reacquisition import SILENCE
-from .scan import scan
+from .scan import Keep, scan
 from .sequential import SequentialFilter, State
 from .solution import Solution
 from .tangents import Tangents
@@ -92,17 +92,17 @@ def _with_stationary(problem: Problem) -> Problem:
     return replace(problem, stationary=stationary(models, problem.start, problem.precision))
 
 
-def walk(problem: Problem, remember: bool = False) -> Solution:
-    """The filter's solution; `remember` keeps gains, and counts frames, for the smoother, in one single stretch."""
-    share, events = WHOLE if remember else PAST, len(problem.timeline.t)
-    fold = _only(events) if remember else fold_for(events)
+def walk(problem: Problem, share: float = PAST) -> Solution:
+    """The filter's solution; for the share WHOLE in one single stretch, with what the smoother needs."""
+    events, keep = len(problem.timeline.t), Keep.MEANS if share == WHOLE else Keep.BELIEFS
+    fold = _only(events) if share == WHOLE else fold_for(events)
     found = _stepped(problem, share, SETTLED, fold)
     tangents = Tangents(problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings))
     tangents.share, readings = share, folded_readings(replace(problem, resets=found.resets), fold, found.held)
     tangents.draw(problem, fold, readings)
     for at, state in found.adrift.items():
         _write(np.array([at]), state.lines or {}, fold, readings)
-    trace = scan(readings, problem.dynamics, found.z, found.p, remember)
+    trace = scan(readings, problem.dynamics, found.z, found.p, keep)
     fold.put(trace.nats, np.array([*found.adrift], int), np.array([state.nats for state in found.adrift.values()]))
     return Solution(fold, readings, tangents, trace)
 

@@ -20,7 +20,7 @@ from ..inference import adjoint
 from ..inference.filter_records import Dynamics, Readings
 from ..inference.initial_path import handed_over, priors
 from ..inference.problem import Problem
-from ..inference.scan import Trace, scan
+from ..inference.scan import Keep, Trace, scan
 from ..inference.solution import Solution
 from .correlated_noise import WHOLE
 from .visibility import LONG
@@ -141,7 +141,7 @@ def _path(posed: Problem, solved: Solution, into: Trace | None) -> tuple[Array, 
     readings, trace = replace(solved.readings, var=var), into
     z, p = handed_over(*priors(posed, fold), solved.trace.z[-1], solved.trace.end_p)
     for _ in range(TURNS):
-        trace = scan(readings, dynamics, z, p, remember=True, into=trace)
+        trace = scan(readings, dynamics, z, p, Keep.MEANS, into=trace)
         z, p = handed_over(z, p, trace.z[-1], trace.end_p)
     assert trace is not None
     ends = np.zeros_like(z)
