@@ -24,8 +24,8 @@ FLAGS = [
     "-Wno-psabi",
 ]
 FLAGS += ["-fno-ivopts", "-Wno-ignored-optimization-argument"]
-"""Without fused multiplications, so that sums are rounded alike everywhere; square roots of vectors need no errno; GCC's
-loops are 25 % faster without ivopts, which Clang does not know."""
+"""Without fused multiplications, so that sums are rounded alike everywhere. Square roots of vectors need no errno.
+GCC's loops are 25 % faster without ivopts, which Clang does not know."""
 ZIG = [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline"]
 """The compiler of a Python package. By default it compiles for the CPU that it runs on."""
 
