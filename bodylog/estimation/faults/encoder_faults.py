@@ -13,7 +13,6 @@ import numpy as np
 from ...body_model import BodyModel
 from ...types import Array, Fault, Finding, Hypothesis
 from ..measurements.records import Encoders, Evidence
-from .contract import Verdict
 from .jumping import jumps, shifts, unwrapped
 from .repeats import FROZEN, dropped_to_zero, frozen, repeat_nats, silence_nats, silent_since
 from .stalled import Stall, stalled
@@ -31,11 +30,11 @@ class Screened(NamedTuple):
     wraps: float | None
 
 
-def detect(evidence: Evidence, body: BodyModel) -> Verdict:
+def detect(evidence: Evidence, body: BodyModel) -> Evidence:
     """Remove frozen and dead stretches and glitches, undo jumps, and unwrap whole turns where encoders read angles."""
     encoders = evidence.encoders
     if encoders is None:
-        return Verdict(evidence)
+        return evidence
     angles = "encoders" not in body.senses
     stalls = list(stalled(encoders, evidence.sightings)) if angles else []
     faults, findings, hypotheses = list[Fault](), list[Finding](), list[Hypothesis]()
@@ -52,8 +51,13 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
             text = f"encoders: {name} wraps by a whole turn at {one.wraps:.3f} s; its angle is unwrapped"
             findings.append(Finding("info", text))
     faults.sort(key=lambda fault: fault.since)
-    found = replace(evidence, encoders=_with_readings(encoders, each))
-    return Verdict(found, tuple(faults), tuple(findings), tuple(hypotheses))
+    return replace(
+        evidence,
+        encoders=_with_readings(encoders, each),
+        faults=(*evidence.faults, *faults),
+        findings=(*evidence.findings, *findings),
+        hypotheses=(*evidence.hypotheses, *hypotheses),
+    )
 
 
 def repaired(encoders: Encoders) -> Encoders:

@@ -8,17 +8,16 @@ from ...body_model import BodyModel
 from ...types import Array, Fault
 from ..measurements.long_arrays import seen
 from ..measurements.records import Encoders, Evidence, Sighting
-from .contract import Verdict
 from .repeats import repeats
 
 FRAMES, PARTS = 5, 8
 """Fewest frames of a stretch of exactly repeated positions, and parts of it in which encoders are averaged."""
 
 
-def detect(evidence: Evidence, body: BodyModel) -> Verdict:
+def detect(evidence: Evidence, body: BodyModel) -> Evidence:
     """Remove track positions that repeat exactly while the encoders predict motion."""
     if evidence.encoders is None or "encoders" in body.senses:
-        return Verdict(evidence)
+        return evidence
     used, sightings, faults = dict(evidence.used), list[Sighting](), list[Fault]()
     for sighting in evidence.sightings:
         values, found = _moving(sighting, evidence.encoders) if sighting.name != "touch" else (sighting.values, [])
@@ -28,7 +27,7 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
             used[sighting.name] = replace(health, used=left, rejected=rejected)
         sightings.append(replace(sighting, values=values))
         faults += found
-    return Verdict(replace(evidence, sightings=tuple(sightings), used=used), tuple(faults))
+    return replace(evidence, sightings=tuple(sightings), used=used, faults=(*evidence.faults, *faults))
 
 
 def _moving(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]:

@@ -8,19 +8,18 @@ It must win against no displacement, encoders that wander, one that wanders far 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from ...body_model import BodyModel
+from ...body_model import BodyModel, ForwardModel
 from ...linear_algebra import forward_substituted
 from ...types import Array, Fault, Hypothesis
 from ..inference.initial_path import OFFSET_STD
 from ..measurements.gather import camera
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.track_curve import Curve, interpolated, track_curve
-from .contract import Verdict
 from .encoder_offset import WALKS
-from .inflated_variance import InflatedVariance
 from .threshold import FAR, LATE, NATS
 
 MOST = 160
@@ -58,13 +57,29 @@ class _Rows:
     speed: Array
 
 
-def detect(evidence: Evidence, body: BodyModel) -> Verdict:
+class _Unsure:
+    """A forward model with added variance (D,) unit²; otherwise the plain model."""
+
+    def __init__(self, plain: ForwardModel, added: Array) -> None:
+        self._plain, self._added, self.outputs = plain, added, plain.outputs
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "_plain":
+            raise AttributeError(name)
+        return getattr(self._plain, name)
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        mean, jac, var = self._plain.predict(x)
+        return mean, jac, var + self._added
+
+
+def detect(evidence: Evidence, body: BodyModel) -> Evidence:
     """Undo camera displacements in the tracks; the uncertainty of each is added to the model's variance.
 
     Without effect if encoders read another function of the angle.
     """
     if evidence.encoders is None or "encoders" in body.senses:
-        return Verdict(evidence)
+        return evidence
     sightings, faults, hypotheses = list(evidence.sightings), list[Fault](), list[Hypothesis]()
     tracks = [k for k, s in enumerate(sightings) if s.name != "touch" and s.model.outputs == ("u", "v")]
     for name in dict.fromkeys(camera(sightings[k].name) for k in tracks):
@@ -75,8 +90,8 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
                 faults.append(_fault(name, found))
                 for k in own:
                     sightings[k] = undisplaced(sightings[k], found)
-    found_in = replace(evidence, sightings=tuple(sightings))
-    return Verdict(found_in, tuple(faults), (), tuple(hypotheses))
+    found_in = replace(evidence, sightings=tuple(sightings), faults=(*evidence.faults, *faults))
+    return replace(found_in, hypotheses=(*evidence.hypotheses, *hypotheses))
 
 
 def _fault(name: str, found: Displacement) -> Fault:
@@ -89,7 +104,7 @@ def undisplaced(sighting: Sighting, moved: Displacement) -> Sighting:
     """Return the sighting with the displacement subtracted from its time on."""
     off = (sighting.t >= moved.t)[:, None] * moved.size
     before = np.zeros_like(sighting.values) if sighting.displaced is None else sighting.displaced
-    unsure = InflatedVariance(sighting.model, np.diag(moved.cov))
+    unsure = _Unsure(sighting.model, np.diag(moved.cov))
     return replace(sighting, model=unsure, values=sighting.values - off, displaced=before + off)
 
 

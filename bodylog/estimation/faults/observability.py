@@ -1,30 +1,29 @@
 """Warnings for joints and stretches without encoder readings, where images alone may not determine the angles."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from ...body_model import BodyModel
 from ...types import Array, Finding
 from ...wording import listed
 from ..measurements.gather import silent
 from ..measurements.long_arrays import rows
-from ..measurements.records import Encoders, Evidence, Sighting
-from .contract import Verdict
+from ..measurements.records import Evidence
 from .repeats import SILENT
 
 
-def detect(evidence: Evidence, body: BodyModel, poses: bool = False) -> Verdict:
+def warned(evidence: Evidence, poses: bool) -> Evidence:
     """Warn where images must determine joints that have no encoder readings, ever or (unless still poses) for long."""
-    return Verdict(evidence, (), tuple(silence_findings(body.joints, evidence.encoders, evidence.sightings, poses)))
+    return replace(evidence, findings=(*evidence.findings, *_findings(evidence, poses)))
 
 
-def silence_findings(
-    names: tuple[str, ...], encoders: Encoders | None, sightings: Sequence[Sighting], poses: bool = False
-) -> Iterator[Finding]:
+def _findings(evidence: Evidence, poses: bool) -> Iterator[Finding]:
     """Yield warnings where images give fewer numbers than there are joints without encoder readings."""
+    names, encoders = evidence.joints, evidence.encoders
+    sightings = [sighting for sighting in evidence.sightings if sighting.name != "touch"]
     mute = silent(names, encoders)
-    seen = sum(sighting.values.shape[1] for sighting in sightings if sighting.name != "touch")
+    seen = sum(sighting.values.shape[1] for sighting in sightings)
     if 0 < seen < len(mute):
         yield Finding(
             "warning",
@@ -33,7 +32,7 @@ def silence_findings(
         )
     if encoders is None or mute or not seen or poses:
         return
-    frames = np.sort(np.concatenate([sighting.t for sighting in sightings if sighting.name != "touch"]))
+    frames = np.sort(np.concatenate([sighting.t for sighting in sightings]))
     groups: dict[tuple[str, ...], list[str]] = {}
     for name, column in zip(names, encoders.values.T, strict=True):
         groups.setdefault(tuple(_silent_from(frames, encoders.t[rows(np.isfinite(column))])), []).append(name)

@@ -1,6 +1,7 @@
 """Whether encoder readings lie in the range, and have the unit, that the body was learned with."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from math import tau
 
 import numpy as np
@@ -9,15 +10,14 @@ from ...body_model import BodyModel
 from ...errors import ModelError
 from ...types import Array, Finding
 from ..measurements.records import Evidence
-from .contract import Verdict
 
 
-def detect(evidence: Evidence, body: BodyModel) -> Verdict:
+def detect(evidence: Evidence, body: BodyModel) -> Evidence:
     """Check the range of all readings, unused encoders included: they give the initial belief."""
-    return Verdict(evidence, (), tuple(range_findings(evidence.read, body)) if len(evidence.read) else ())
+    return replace(evidence, findings=(*evidence.findings, *_findings(evidence.read, body)))
 
 
-def range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
+def _findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
     """Yield a warning for each joint whose readings (N,M) rad are mostly out of range; ModelError for degrees."""
     known = [getattr(model, "samples", np.empty((0, len(body.joints)))) for model in body.senses.values()]
     if "encoders" in body.senses or not len(explored := np.concatenate([np.empty((0, len(body.joints))), *known])):

@@ -1,6 +1,6 @@
 """The table of fault detectors, and one pass of all of them over the measurements."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from ...body_model import BodyModel
@@ -9,8 +9,9 @@ from ...types import Features
 from ..measurements.gather import gather, sound
 from ..measurements.records import Evidence
 from . import encoder_faults, frozen_camera, moved_camera, observability, out_of_range
-from .contract import Detector
 
+Detector = Callable[[Evidence, BodyModel], Evidence]
+"""Takes the readings of one kind of fault out of the evidence; adds the faults, remarks and hypotheses compared."""
 DETECTORS: Mapping[str, Detector] = {
     "out_of_range": out_of_range.detect,
     "encoders": encoder_faults.detect,
@@ -30,12 +31,8 @@ def screened(features: Features, body: BodyModel, settings: Estimation, repairs:
     gathered = gather(features, body, settings)
     found = gathered
     for name, detect in (OF_POSES if features.poses else DETECTORS).items():
-        verdict = detect(found, body)
-        found = replace(
-            verdict.evidence,
-            faults=(*found.faults, *verdict.faults),
-            findings=(*found.findings, *(verdict.findings if repairs or name != "encoders" else ())),
-            hypotheses=(*found.hypotheses, *verdict.hypotheses),
-        )
+        known, found = found.findings, detect(found, body)
+        if name == "encoders" and not repairs:
+            found = replace(found, findings=known)  # on repairs
     found = sound(found if repairs else replace(found, encoders=gathered.encoders), features, body, settings)
-    return replace(found, findings=(*found.findings, *observability.detect(found, body, features.poses).findings))
+    return observability.warned(found, features.poses)
