@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.estimation import estimate
 from bodylog.estimation.faults.jumping import jumps, unwrapped
-from bodylog.estimation.faults.repeats import frozen, silent_since
+from bodylog.estimation.faults.repeats import silence, stuck
 from bodylog.estimation.faults.threshold import NATS
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Linear
@@ -161,6 +161,11 @@ def test_frozen_encoder_adds_less_than_three_milliradians(world):
         assert np.sqrt(np.mean((found.joints.values - drawn.truth.values) ** 2)) < 3e-3
 
 
+def frozen(t, y):
+    """Stretches of repeats that are a fault by the readings alone."""
+    return [one[1:3] for one in stuck(t, y, lambda begin, end: 0.0) if one.nats > NATS]
+
+
 def test_frozen_ignores_an_ideal_encoder_at_rest():
     t = np.arange(0.0, 10.0, 0.02)
     smooth = np.where(t < 5.0, np.sin(t), np.sin(5.0))
@@ -231,12 +236,13 @@ def test_whole_turns_are_unwrapped_and_are_no_jumps(world):
     assert not estimate(features, sound.body, Estimation()).faults
 
 
-def test_silent_since_ignores_an_encoder_with_rare_readings():
+def test_silence_ignores_an_encoder_with_rare_readings():
     t = np.arange(0.0, 10.0, 0.02)
     seldom = np.where(np.arange(len(t)) % 40 == 0, 0.1, np.nan)
     seldom[t > 8.9] = np.nan
-    assert silent_since(t, seldom) is None
-    assert silent_since(t, np.where(t < 6.0, 0.1, np.nan)) == pytest.approx(5.98)
+    assert silence(t, seldom)[1] < NATS
+    last, nats = silence(t, np.where(t < 6.0, 0.1, np.nan))
+    assert last == pytest.approx(5.98) and nats > NATS
 
 
 @pytest.mark.parametrize("moves", ["sines", "reach"])

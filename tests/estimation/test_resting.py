@@ -7,7 +7,8 @@ import pytest
 
 from bodylog.errors import EvidenceError
 from bodylog.estimation import METHODS, estimate
-from bodylog.estimation.faults.repeats import frozen
+from bodylog.estimation.faults.repeats import stuck
+from bodylog.estimation.faults.threshold import NATS
 from bodylog.estimation.methods.finite import finite
 from bodylog.settings import Estimation
 from tests.estimation import conftest as worlds
@@ -106,4 +107,5 @@ def test_frozen_takes_rounding_alone_for_no_noise():
     """In motion, readings in steps scatter as noise does; yet they repeat while the joint is still."""
     joints = drawn(102, Drawn("reach", step=0.0015)).features.joints
     for k, name in enumerate(joints.names):
-        assert not frozen(joints.t, joints.values[:, k]), name
+        runs = list(stuck(joints.t, joints.values[:, k], lambda begin, end: 0.0))
+        assert runs and not any(run.nats > NATS for run in runs), name

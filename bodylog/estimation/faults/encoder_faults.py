@@ -3,8 +3,9 @@
 Offsets, which need the other senses, are found by `encoder_offset`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -14,8 +15,8 @@ from ...body_model import BodyModel
 from ...types import Array, Fault, Finding, Hypothesis
 from ..measurements.records import Encoders, Evidence
 from .jumping import jumps, shifts, unwrapped
-from .repeats import FROZEN, dropped_to_zero, frozen, repeat_nats, silence_nats, silent_since
-from .stalled import Stall, stalled
+from .repeats import FROZEN, silence, stuck
+from .stalled import motion_nats
 from .threshold import NATS
 
 
@@ -36,25 +37,25 @@ def detect(evidence: Evidence, body: BodyModel) -> Evidence:
     if encoders is None:
         return evidence
     angles = "encoders" not in body.senses
-    stalls = list(stalled(encoders, evidence.sightings)) if angles else []
-    faults, findings, hypotheses = list[Fault](), list[Finding](), list[Hypothesis]()
-    own = [[stall for stall in stalls if stall.joint == joint] for joint in range(len(body.joints))]
-    each = [_screened(encoders.t, y, those, angles) for y, those in zip(encoders.values.T, own, strict=True)]
-    for name, one in zip(body.joints, each, strict=True):
-        faults += [Fault("encoders", name, *fault, "rad") for fault in one.faults]
-        kinds = {"jumping" if kind == "glitch" else kind for kind, *_ in one.faults}
-        hypotheses += [
-            Hypothesis(f"encoder {'jumped' if kind == 'jumping' else kind}", name, nats, NATS, kind in kinds)
-            for kind, nats in one.nats.items()
-        ]
-        if one.wraps is not None:
-            text = f"encoders: {name} wraps by a whole turn at {one.wraps:.3f} s; its angle is unwrapped"
-            findings.append(Finding("info", text))
-    faults.sort(key=lambda fault: fault.since)
+    images = [s for s in evidence.sightings if s.name != "touch"] if angles else []
+    each = [
+        _screened(encoders.t, y, partial(motion_nats, encoders, images, joint), angles)
+        for joint, y in enumerate(encoders.values.T)
+    ]
+    named = list(zip(body.joints, each, strict=True))
+    faults = [Fault("encoders", name, *fault, "rad") for name, one in named for fault in one.faults]
+    hypotheses = [
+        Hypothesis(f"encoder {kind}", name, nats, NATS, nats > NATS)
+        for name, one in named for kind, nats in one.nats.items()
+    ]  # fmt: skip
+    findings = [
+        Finding("info", f"encoders: {name} wraps by a whole turn at {one.wraps:.3f} s; its angle is unwrapped")
+        for name, one in named if one.wraps is not None
+    ]  # fmt: skip
     return replace(
         evidence,
         encoders=_with_readings(encoders, each),
-        faults=(*evidence.faults, *faults),
+        faults=(*evidence.faults, *sorted(faults, key=lambda fault: fault.since)),
         findings=(*evidence.findings, *findings),
         hypotheses=(*evidence.hypotheses, *hypotheses),
     )
@@ -69,34 +70,36 @@ def _with_readings(encoders: Encoders, each: Sequence[Screened]) -> Encoders:
     return replace(encoders, values=np.stack([one.values for one in each], axis=1)) if each else encoders
 
 
-def _screened(t: Array, y: Array, stalls: Sequence[Stall] = (), angles: bool = True) -> Screened:
-    """Screen one encoder's readings y (N,) rad at t (N,) s; `stalls`: its repeats that images contradict.
+def _screened(
+    t: Array, y: Array, moved: Callable[[int, int], float] = lambda begin, end: 0.0, angles: bool = True
+) -> Screened:  # fmt: skip
+    """Screen one encoder's readings y (N,) rad at t (N,) s; `moved`: nats of images that it moved in [begin, end).
 
-    An encoder that repeats exactly zero is dead from its first zero on. Only jumps and glitches have a size.
+    Only jumps and glitches have a size.
     """
     if not np.isfinite(y).any():
         return Screened(y, (), {}, None)
-    values, found = (unwrapped(y) if angles else y).copy(), list[tuple[str, float, float]]()
+    values = unwrapped(y) if angles else y.copy()
     turned = np.abs(values - y) > 1.0
-    for kind, begin, end in _faulty_repeats(t, values, stalls):
-        found.append((kind, float(t[begin]), 0.0))
-        values[begin:end] = np.nan
-    if not found and (since := silent_since(t, values)) is not None:
-        found.append(("dead", since, 0.0))
+    found, nats = list[tuple[str, float, float]](), {"frozen": 0.0, "dead": 0.0, "jumped": 0.0}
+    for one in list(stuck(t, values, moved)):
+        nats[one.kind] = max(nats[one.kind], one.nats)
+        if one.nats > NATS:
+            found.append((one.kind, float(t[one.begin]), 0.0))
+            values[one.begin : one.end] = np.nan
+    last, silent = silence(t, y)
+    nats["dead"] = max(nats["dead"], silent)
+    if silent > NATS:
+        found.append(("dead", last, 0.0))
     moves = shifts(t, values)
+    nats["jumped"] = max((won for *_, won in moves), default=0.0)
     for begin, end, size in _excursions(t, values, moves):
         found.append(("glitch", float(t[begin]), size))
         values[begin:end] = np.nan
     for at, size in jumps(t, values):
         found.append(("jumping", float(t[at]), size))
         values[at:] -= size
-    repeated, value = repeat_nats(y)
-    won = {
-        "frozen": max([repeated if value else min(repeated, 0.0), *(stall.nats for stall in stalls)]),
-        "dead": max(silence_nats(y), repeated if value == 0.0 else -np.inf),
-        "jumping": max((nats for *_, nats in moves), default=0.0),
-    }
-    return Screened(values, found, won, float(t[int(turned.argmax())]) if turned.any() else None)
+    return Screened(values, found, nats, float(t[int(turned.argmax())]) if turned.any() else None)
 
 
 def _excursions(t: Array, y: Array, moves: Sequence[tuple[int, float, float]]) -> list[tuple[int, int, float]]:
@@ -110,12 +113,3 @@ def _excursions(t: Array, y: Array, moves: Sequence[tuple[int, float, float]]) -
         return []
     stretches = pairwise([(int(np.isfinite(y).argmax()), -edges[0][1]), *edges])
     return [(begin, end, size) for (begin, size), (end, _) in stretches if t[end] - t[begin] < FROZEN]
-
-
-def _faulty_repeats(t: Array, y: Array, stalls: Sequence[Stall]) -> list[tuple[str, int, int]]:
-    """Return the kind and stretch [begin, end) of faulty repeats in readings y (N,) at t (N,), in order."""
-    runs = [*((stall.begin, stall.end) for stall in stalls), *frozen(t, y)]
-    # dead from the first zero on
-    found = {end: ("dead", begin - 1, end) if y[begin] == 0.0 else ("frozen", begin, end) for begin, end in runs}
-    found |= {end: ("dead", begin, end) for begin, end in dropped_to_zero(t, y)}
-    return sorted(found.values(), key=lambda run: run[1])

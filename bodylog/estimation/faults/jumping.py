@@ -60,13 +60,8 @@ def _shift(v: Array, k: int) -> float:
 
 def unwrapped(y: Array) -> Array:
     """Return readings y (N,) rad, NaN where missing, with whole turns between neighbours removed."""
-    if not np.fmax.reduce(y, initial=-np.inf) - np.fmin.reduce(y, initial=np.inf) > tau - BESIDE:
-        return y
-    known = np.isfinite(y)
-    steps = np.diff(y[known], prepend=y[known][:1])
-    whole = np.abs(np.abs(steps) - tau) < BESIDE
-    found = y.copy()
-    found[known] -= np.cumsum(np.where(whole, np.sign(steps) * tau, 0.0))
+    found, known = y.copy(), np.isfinite(y)
+    found[known] = np.unwrap(y[known], tau - BESIDE)
     return found
 
 

@@ -4,44 +4,25 @@ Residuals of the images against the encoders' predictions are explained by motio
 encoder is frozen if motion of its joint explains them and motion of no other joint does.
 """
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
 from ...types import Array
 from ..measurements.long_arrays import seen
 from ..measurements.records import Encoders, Sighting
-from ..measurements.timeline import spans
 from ..noise.quantisation import step_size
-from .repeats import repeats
-from .threshold import LEAST, NATS
+from .threshold import LEAST
 
-PART, SPAN, FEWEST = 0.25, 4.0, 3
-"""s of frames averaged to one position, s per window of the log, and fewest frames to average."""
-
-
-class Stall(NamedTuple):
-    """A joint's readings [begin, end) during which it moved, and the nats that its motion wins."""
-
-    joint: int
-    begin: int
-    end: int
-    nats: float
+PART, FEWEST = 0.25, 3
+"""s of frames averaged to one position, and fewest frames to average."""
 
 
-def stalled(encoders: Encoders, sightings: Sequence[Sighting]) -> Iterator[Stall]:
-    """Yield the repeats that images contradict; the first of the repeated readings is sound."""
-    images = [s for s in sightings if s.name != "touch"]
-    if not images or encoders.values.shape[1] == 0 or not np.isfinite(encoders.values).any(axis=0).all():
-        return
-    for joint, column in enumerate(encoders.values.T):
-        for begin, end in repeats(encoders.t, column):
-            windows = spans(encoders.t[begin : end - 1], SPAN)
-            ends = [min(window + SPAN, encoders.t[end - 1]) for window in windows]
-            won = [_moved(encoders, joint, s, *each) for each in zip(windows, ends, strict=True) for s in images]
-            if (nats := max(won, default=0.0)) > NATS:
-                yield Stall(joint, begin + 1, end, nats)
+def motion_nats(encoders: Encoders, images: Sequence[Sighting], joint: int, begin: int, end: int) -> float:
+    """Nats that motion of a joint wins in images while its encoder repeats the readings [begin, end)."""
+    if not np.isfinite(encoders.values).any(axis=0).all():
+        return 0.0
+    return max((_moved(encoders, joint, s, encoders.t[begin], encoders.t[end - 1]) for s in images), default=0.0)
 
 
 def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end: float) -> float:
@@ -57,11 +38,10 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     y, var = sighting.values[rows], sighting.var[rows]
     middle = np.stack([np.median(x[p], axis=0) for p in parts])
     # motion within a part, as the encoders predict it, is subtracted before averaging
-    known, jac, _ = sighting.model.predict(x)
-    at, _, model = sighting.model.predict(middle)
+    known, (at, jac, model) = sighting.model.predict(x)[0], sighting.model.predict(middle)
     place = np.stack([np.median(y[p] - known[p], axis=0) for p in parts]) + at
     noise = np.stack([1.6 * var[p].mean(axis=0) / len(p) for p in parts]) + model
-    noise += np.einsum("pdm,m->pd", np.stack([jac[p].mean(axis=0) for p in parts]) ** 2, encoders.variance)
+    noise += np.square(jac) @ encoders.variance
     found = [_explained(sighting, place, noise, middle, k) for k in range(x.shape[1])]
     (gain, left, apart), others = found[joint], [g for k, (g, *_) in enumerate(found) if k != joint]
     least = max(LEAST, 2.0 * step_size(encoders.values[np.isfinite(encoders.values[:, joint]), joint]))
