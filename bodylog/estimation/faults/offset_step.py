@@ -4,7 +4,7 @@ Time and size are those of greatest evidence of the whole filter. A size N(0, FA
 any of N readings after the start, cost ½ ln(1 + FAR²/σ²) + ln N nats of it.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,6 +20,9 @@ from ..noise.evidence_search import ROUGHLY
 from .repeats import SILENT
 from .threshold import FAR
 
+APART = 0.5 * OFFSET_STD
+"""rad: sizes tried on both sides of a step's."""
+
 
 class Way(NamedTuple):
     """A problem with one more offset, its cost (nats), and the fault if the offset is a step."""
@@ -27,20 +30,6 @@ class Way(NamedTuple):
     problem: Problem
     nats: float
     fault: Fault | None = None
-
-
-class _Trial(NamedTuple):
-    """A reading (row) from which on an encoder is off by `size` rad, and the solution without that step."""
-
-    row: int
-    size: float
-    problem: Problem
-    solved: Solution
-
-    @property
-    def nats(self) -> float:
-        """Cost of the whole log."""
-        return free_energy(self.solved)
 
 
 def free_energy(solution: Solution) -> float:
@@ -57,31 +46,45 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
     assert encoders is not None
     y, t = encoders.values[:, joint], encoders.t
 
-    def found(posed: Problem) -> Solution:
-        return solve(posed, solved, rest=ROUGHLY)
+    def off(posed: Problem) -> Array:
+        solution = solve(posed, solved, rest=ROUGHLY)
+        return np.asarray(y - solution.fold.unfold(solution.trace.z[:, joint])[problem.timeline.encoders])
 
-    def trial(row: int, size: float) -> _Trial:
-        without = _with_readings(problem, joint, np.where(np.arange(len(y)) >= row, y - size, y))
-        return _Trial(row, size, without, found(without))
+    def without(row: int, size: float) -> Problem:
+        return _with_readings(problem, joint, np.where(np.arange(len(y)) >= row, y - size, y))
 
-    def divided(posed: Problem) -> tuple[int, float]:
-        solution = found(posed)
-        return _two_levels(y - solution.fold.unfold(solution.trace.z[:, joint])[problem.timeline.encoders])
+    def nats(row: int, size: float) -> float:
+        return free_energy(solve(without(row, size), solved, rest=ROUGHLY))
 
     try:
-        late, size = divided(wandering)
+        late, size = _two_levels(off(wandering))
         # a filter takes a step for motion at first: in the second before, images alone tell the angle
         unsure = (t > t[late] - SILENT) & (t <= t[late])
         masked = np.where(unsure, np.nan, np.where(t > t[late], y - size, y))
-        seen, _ = divided(_with_readings(problem, joint, masked))
-        steps = np.sign(size) * np.diff(y, prepend=np.nan)
-        steepest = int(np.where(unsure & np.isfinite(steps), steps, -np.inf).argmax())
-        best = min((trial(row, size) for row in sorted({late, seen, steepest})), key=lambda one: one.nats)
+        seen, _ = _two_levels(off(_with_readings(problem, joint, masked)))
+        steps = np.where(unsure, np.sign(size) * np.diff(y, prepend=np.nan), np.nan)
+        rows = seen, int(np.nan_to_num(steps, nan=-np.inf).argmax())
+        row = min(rows, key=lambda row: nats(row, size))
         # an encoder that is off within the first second is off from the start
-        best = best if t[best.row] - t[0] >= SILENT else trial(0, size)
-        return _sized(trial, best, problem.evidence.joints[joint], t)
+        row = row if t[row] - t[0] >= SILENT else 0
+        lowest = _lowest([nats(row, size + apart) for apart in (-APART, 0.0, APART)])
     except DidNotConverge:
         return None
+    if lowest is None:
+        return None
+    cost, more, std = lowest
+    size += more
+    cost += 0.5 * (np.log1p((FAR / std) ** 2) + (size / FAR) ** 2) + (np.log(len(t)) if row else 0.0)
+    kind, name = "jumping" if row else "drifting", problem.evidence.joints[joint]
+    fault = Fault("encoders", name, kind, float(t[row]), size, "rad", std)
+    return Way(without(row, size), float(cost), fault)
+
+
+def _lowest(nats: Sequence[float]) -> tuple[float, float, float] | None:
+    """The lowest cost (nats) on a parabola through three costs APART, its place from the middle and its std (rad)."""
+    below, cost, above = nats
+    bend, slope = (below - 2.0 * cost + above) / APART**2, (above - below) / (2.0 * APART)
+    return None if bend <= 0.0 else (cost - 0.5 * slope**2 / bend, -slope / bend, float(bend**-0.5))
 
 
 def _with_readings(problem: Problem, joint: int, y: Array) -> Problem:
@@ -100,20 +103,3 @@ def _two_levels(off: Array) -> tuple[int, float]:
     level = np.nan_to_num(off)[::-1].cumsum()[::-1] / count
     row = int((count * level**2).argmax())
     return row, float(level[row])
-
-
-def _sized(trial: Callable[[int, float], _Trial], best: _Trial, name: str, t: Array) -> Way | None:
-    """The size of greatest evidence by a parabola, twice, the second time as wide as the first one's error says."""
-    half, std = 0.5 * OFFSET_STD, 0.0
-    for _ in range(2):
-        below, above = (trial(best.row, best.size + off).nats for off in (-half, half))
-        bend = (below - 2.0 * best.nats + above) / half**2
-        if bend <= 0.0:
-            return None
-        more = np.clip((below - above) / (2.0 * half * bend), -2.0 * half, 2.0 * half)
-        best, std = trial(best.row, best.size + float(more)), float(bend**-0.5)
-        half = 2.0 * std
-    times = np.log(len(t)) if best.row else 0.0
-    cost = best.nats + 0.5 * np.log1p((FAR / std) ** 2) + 0.5 * (best.size / FAR) ** 2 + times
-    kind = "jumping" if best.row else "drifting"
-    return Way(best.problem, float(cost), Fault("encoders", name, kind, float(t[best.row]), best.size, "rad", std))
