@@ -40,21 +40,29 @@ class Displacement:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Rows of all tracks at t (R,) s: number of track and output (R,), and output (R,) · postures x (R,M) in the
-    model's length scales · r (R,) px · jac (R,M) · noise (R,) px², encoder variance (R,M) rad² of the means, model
-    variance (R,) px² · speed (R,) px/s.
+    """Rows of all tracks: t (R,) s · output (R,) 0 or 1 · residuals r (R,) px · jac (R,M) px/rad · the Cholesky factor
+    (R,R) of their covariance.
     """
 
     t: Array
-    number: Array
     output: Array
-    x: Array
     r: Array
     jac: Array
-    noise: Array
-    encoder: Array
-    model: Array
-    speed: Array
+    chol: Array
+
+    def without(self, moves: Sequence[Displacement]) -> "_Rows":
+        """The rows with displacements subtracted."""
+        return replace(self, r=self.r - sum(one.size[self.output] * (self.t >= one.t) for one in moves))
+
+    def wandering(self, lean: Array, std: float, walk: float) -> "_Rows":
+        """The rows with encoders' offsets of `std` rad that wander by `walk` rad²/s; lean (R,J) px/rad."""
+        more = _offset_covariance(self.t, lean, std, walk)
+        return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more))
+
+    @property
+    def cost(self) -> float:
+        """−ln p (nats), up to a constant of all hypotheses."""
+        return float(_nats(np.square(forward_substituted(self.chol, self.r[:, None])).sum(), self.chol))
 
 
 class _Unsure:
@@ -117,120 +125,100 @@ def displacements(encoders: Encoders, seen: Sequence[Sighting]) -> list[Displace
     rows = _rows(found) if found else None
     if rows is None or not len(rows.t):
         return []
-    cov = _covariance(rows)
-    moves = _displacements(rows, np.linalg.cholesky(cov))
+    moves = _displacements(rows)
     if moves[0].nats > NATS:
-        beyond = _gain_over_encoders(rows, cov, moves)
+        beyond = _gain_over_encoders(rows, moves)
         moves = [replace(one, nats=min(one.nats, beyond)) for one in (moves if beyond > NATS else moves[:1])]
     return sorted(moves, key=lambda one: one.t)
 
 
-def _displacements(rows: _Rows, chol: Array) -> list[Displacement]:
+def _displacements(rows: _Rows) -> list[Displacement]:
     """Add displacements while each wins NATS, re-estimating the others each time; else the most likely one."""
-    moves = [_best_displacement(rows, chol, [])]
+    moves = [_best_displacement(rows)]
     while moves[-1].nats > NATS and len(moves) < MOVES:
-        more = [*moves, _best_displacement(rows, chol, moves)]
+        more = [*moves, _best_displacement(rows.without(moves))]
         for k in range(len(more)):
-            more[k] = _best_displacement(rows, chol, more[:k] + more[k + 1 :])
+            more[k] = _best_displacement(rows.without(more[:k] + more[k + 1 :]))
         if min(one.nats for one in more) <= NATS:
             break
         moves = more
     return moves
 
 
-def _best_displacement(rows: _Rows, chol: Array, others: list[Displacement]) -> Displacement:
-    """The most likely displacement given the others, and the nats it wins."""
-    left = replace(rows, r=_residuals(rows, others))
+def _best_displacement(rows: _Rows) -> Displacement:
+    """The most likely displacement, and the nats it wins."""
     # a priori as large as an encoder's offset shows, or 1e-3 px if joints do not move the track
     wide = max(FAR * float(np.sqrt(np.square(rows.jac).mean())), 1e-3)
-    found = _best_step(left, chol, np.eye(2)[rows.output], wide)
-    return replace(found, nats=_cost(left.r, chol) - found.nats)
+    found = _best_step(rows, np.eye(2)[rows.output], wide)
+    return replace(found, nats=rows.cost - found.nats)
 
 
-def _residuals(rows: _Rows, moves: list[Displacement]) -> Array:
-    """Residuals (R,) px after the displacements."""
-    return np.asarray(rows.r - sum(one.size[rows.output] * (rows.t >= one.t) for one in moves))
-
-
-def _gain_over_encoders(rows: _Rows, cov: Array, moves: list[Displacement]) -> float:
+def _gain_over_encoders(rows: _Rows, moves: list[Displacement]) -> float:
     """Nats won against the best alternative: encoders wander, one wanders far, steps, or all err at first.
 
     Negative where residuals exceed the noise: the model is not linear over a large offset. A step of one encoder is as
     simple as one displacement, so it is compared with the first displacement alone.
     """
-    joints, chol = range(rows.jac.shape[1]), np.linalg.cholesky(cov)
-    none, white = _cost(rows.r, chol), forward_substituted(chol, _residuals(rows, moves)[:, None])
+    white = forward_substituted(rows.chol, rows.without(moves).r[:, None])
     # the mean square is 1 where all noise is as stated
     if (poor := 4.0 * len(white) - np.square(white).sum()) < 0.0:
         return 0.5 * float(poor)
-    offsets = [_offset_covariance(rows, rows.jac, OFFSET_STD, walk) for walk in (WALKS[0], WALKS[2])]
-    offsets += [_offset_covariance(rows, rows.jac[:, joint, None], FAR, WALKS[2]) for joint in joints]
+    each = [rows.jac[:, joint, None] for joint in range(rows.jac.shape[1])]
+    wandering = [rows.wandering(rows.jac, OFFSET_STD, walk).cost for walk in (WALKS[0], WALKS[2])]
+    far = [rows.wandering(lean, FAR, WALKS[2]).cost for lean in each]
+    steps = min(_best_step(rows, lean, FAR).nats for lean in each)
+    settled = _best_step(rows, rows.jac, FAR, until=True).nats
     # each given those before it: given those after it, too, displacements that cancel win twice
-    won = [_best_displacement(rows, chol, moves[:k]).nats for k in range(len(moves))]
-    steps = min(_best_step(rows, chol, rows.jac[:, joint, None], FAR).nats for joint in joints)
-    settled = _best_step(rows, chol, rows.jac, FAR, until=True).nats
-    others = min(settled, *(_cost(rows.r, np.linalg.cholesky(cov + one)) for one in offsets))
-    return min(steps - none + won[0], others - none + sum(won))
+    won = [_best_displacement(rows.without(moves[:k])).nats for k in range(len(moves))]
+    return min(steps - rows.cost + won[0], min(settled, *wandering, *far) - rows.cost + sum(won))
 
 
 def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
-    """The tracks' curves beside the encoders, as rows."""
-    parts = []
-    for track, (sighting, curve) in enumerate(found):
+    """The tracks' curves beside the encoders, as rows whose covariance is that of a fixed camera and sound encoders."""
+    from scipy.linalg import block_diag
+
+    parts, own = list[tuple[Array, ...]](), list[Array]()
+    for sighting, curve in found:
         place, speed, *_, sound = interpolated(curve, 0.0)
-        x, off = curve.x / getattr(sighting.model, "reach", np.inf), place - curve.predicted
+        x, off = curve.x[sound] / getattr(sighting.model, "reach", np.inf), place - curve.predicted
+        alike = np.exp(-0.5 * sum(np.square(np.subtract.outer(column, column)) for column in x.T))
         for d in range(2):
-            number, output = np.full_like(curve.at, 2 * track + d, int), np.full_like(curve.at, d, int)
-            noise = np.full_like(curve.at, curve.noise[d])
-            columns = (curve.at, number, output, x, off[:, d], curve.jac[:, d], noise, curve.encoder, curve.model[:, d])
-            parts.append(tuple(column[sound] for column in (*columns, speed[:, d])))
-    return _Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def _covariance(rows: _Rows) -> Array:
-    """Covariance (R,R) px² of r with a fixed camera and sound encoders."""
+            model = np.sqrt(curve.model[sound, d])
+            own.append(np.outer(model, model) * alike + curve.noise[d] * np.eye(len(model)))
+            columns = curve.at, np.full(len(curve.at), d), off[:, d], curve.jac[:, d], curve.encoder, speed[:, d]
+            parts.append(tuple(column[sound] for column in columns))
+    t, output, r, jac, encoder, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
     # rows of one time share the same means of encoder readings
-    cov = (rows.t[:, None] == rows.t) * ((rows.jac * rows.encoder) @ rows.jac.T)
+    cov = block_diag(*own) + (t[:, None] == t) * ((jac * encoder) @ jac.T)
     # smaller delays are left
-    cov += LATE**2 * np.outer(rows.speed, rows.speed)
-    cov += _offset_covariance(rows, rows.jac, OFFSET_STD, WALKS[-1])
-    model = np.sqrt(rows.model)
-    for own in (np.flatnonzero(rows.number == number) for number in np.unique(rows.number)):
-        apart = sum(np.square(np.subtract.outer(x, x)) for x in rows.x[own].T)
-        cov[np.ix_(own, own)] += np.outer(model[own], model[own]) * np.exp(-0.5 * apart)
-    cov[np.diag_indices_from(cov)] += rows.noise
-    return np.asarray(cov)
+    cov += LATE**2 * np.outer(speed, speed) + _offset_covariance(t, jac, OFFSET_STD, WALKS[-1])
+    return _Rows(t, output, r, jac, np.linalg.cholesky(cov))
 
 
-def _offset_covariance(rows: _Rows, lean: Array, std: float, walk: float) -> Array:
+def _offset_covariance(t: Array, lean: Array, std: float, walk: float) -> Array:
     """Covariance (R,R) px² added by encoders' offsets of `std` rad that wander by `walk` rad²/s; lean (R,J) px/rad."""
-    since = rows.t - rows.t.min()
+    since = t - t.min()
     return np.asarray((lean @ lean.T) * (std**2 + walk * np.minimum.outer(since, since)))
 
 
-def _best_step(rows: _Rows, chol: Array, basis: Array, wide: float, until: bool = False) -> Displacement:
+def _best_step(rows: _Rows, basis: Array, wide: float, until: bool = False) -> Displacement:
     """The most likely step along a basis (R,D), with D ~ N(0, wide²), and its time.
 
     Its `nats` is the cost, −ln p of all rows, averaged over all times of a step. `until`: it is undone at its time.
     """
     times, d = np.unique(rows.t), basis.shape[1]
     steps = basis[:, :, None] * ((rows.t[:, None] >= times) != until)[:, None, :]
-    white = forward_substituted(chol, np.column_stack([rows.r, steps.reshape(len(rows.t), -1)]))
+    white = forward_substituted(rows.chol, np.column_stack([rows.r, steps.reshape(len(rows.t), -1)]))
     r, s = white[:, 0], white[:, 1:].reshape(len(rows.t), d, len(times))
     info = np.einsum("rdk,rek->kde", s, s) + np.eye(d) / wide**2
     pull = np.einsum("rdk,r->kd", s, r)
     size = np.linalg.solve(info, pull[..., None])[..., 0]
     won = 0.5 * (pull * size).sum(axis=1) - 0.5 * np.linalg.slogdet(wide**2 * info)[1]
-    cost = _nats(r @ r - 2.0 * won, chol)
+    cost = _nats(r @ r - 2.0 * won, rows.chol)
     best = int(cost.argmin())
     # all times are equally likely
     total = float(cost[best] - np.log(np.exp(cost[best] - cost).mean()))
     return Displacement(float(times[best]), size[best], np.linalg.inv(info[best]), total)
-
-
-def _cost(r: Array, chol: Array) -> float:
-    """−ln p (nats) of rows r (R,) without a displacement, up to a constant of all hypotheses."""
-    return float(_nats(np.square(forward_substituted(chol, r[:, None])).sum(), chol))
 
 
 def _nats(square: Array, chol: Array) -> Array:
