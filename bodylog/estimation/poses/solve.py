@@ -138,17 +138,14 @@ def _guesses(poses: Poses) -> Array:
 def descended(poses: Poses, x: Array) -> Solved:
     """Gauss–Newton with damping for each pose, raised where a step does not lower the cost at fixed variances."""
     now, damp = _at(poses, x), np.full(len(x), 1e-6)
-    active = np.ones(len(x), bool)
     for _ in range(60):
         step = _step(poses, now, damp)
-        tried = _at(poses, np.where(active[:, None], now.x + step, now.x))
-        better = active & (_misfit(poses, tried, now.var) <= _misfit(poses, now, now.var) + 1e-12)
+        tried = _at(poses, now.x + step)
+        better = _misfit(poses, tried, now.var) <= _misfit(poses, now, now.var) + 1e-12
         size = np.abs(step) / np.sqrt(np.einsum("pmm->pm", now.cov))
-        resting = size.max(axis=1) < 1e-7  # standard deviations
         damp = np.where(better, np.maximum(damp * 0.1, 1e-9), damp * 10.0)
         now = _merged(now, tried, np.flatnonzero(better), better)
-        active &= ~resting & (damp < 1e9)
-        if not active.any():
+        if size.max() < 1e-7:  # standard deviations
             break
     return now
 
