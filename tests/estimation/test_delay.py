@@ -110,7 +110,7 @@ def test_joints_read_in_turn_are_not_one_instant(world):
     assert measured_delays(alone, drawn.body) == {}
 
 
-def test_measured_delay_uses_the_middle_of_a_long_log(world):
+def test_measured_delay_uses_all_of_a_long_log(world):
     drawn = world(1, duration=100.0, camera_hz=10.0, encoder_hz=30.0)
     track = drawn.features.tracks["effector"]
     asked = measured_delays(delayed(drawn.features, 0.05), drawn.body)["camera"]

@@ -175,8 +175,6 @@ def _gain_over_encoders(rows: _Rows, moves: list[Displacement]) -> float:
 
 def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
     """The tracks' curves beside the encoders, as rows whose covariance is that of a fixed camera and sound encoders."""
-    from scipy.linalg import block_diag
-
     parts, own = list[tuple[Array, ...]](), list[Array]()
     for sighting, curve in found:
         place, speed, *_, sound = interpolated(curve, 0.0)
@@ -189,9 +187,11 @@ def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
             parts.append(tuple(column[sound] for column in columns))
     t, output, r, jac, encoder, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
     # rows of one time share the same means of encoder readings
-    cov = block_diag(*own) + (t[:, None] == t) * ((jac * encoder) @ jac.T)
+    cov = (t[:, None] == t) * ((jac * encoder) @ jac.T) + _offset_covariance(t, jac, OFFSET_STD, WALKS[-1])
     # smaller delays are left
-    cov += LATE**2 * np.outer(speed, speed) + _offset_covariance(t, jac, OFFSET_STD, WALKS[-1])
+    cov += LATE**2 * np.outer(speed, speed)
+    for end, block in zip(np.cumsum([len(block) for block in own]).tolist(), own, strict=True):
+        cov[end - len(block) : end, end - len(block) : end] += block
     return _Rows(t, output, r, jac, np.linalg.cholesky(cov))
 
 

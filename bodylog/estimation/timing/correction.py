@@ -13,7 +13,6 @@ from ...types import Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import repaired
 from ..faults.threshold import LATE, NATS, SIGMAS
 from ..measurements.gather import camera, gather
-from ..measurements.long_arrays import rows
 from ..measurements.records import Encoders, Sighting
 from .regression import FARTHEST, Delay, measured
 
@@ -86,34 +85,20 @@ def shifted(features: Features, delays: Mapping[str, float]) -> Features:
 
 def measured_delays(features: Features, body: BodyModel) -> dict[str, Delay]:
     """Measure each camera's delay relative to the encoders, where the log determines it."""
-    if features.joints is None or not len(features.joints.t):
-        return {}
-    begin, end = np.nanmin(features.joints.t), np.nanmax(features.joints.t)
-    # the minute in the middle first
-    spare = max(0.0, 0.5 * (end - begin - 60.0))
-    asked = {camera(name) for name in features.tracks if name in body.senses}
-    found = _measured_between(features, body, begin + spare, end - spare)
-    return {**_measured_between(features, body, begin, end), **found} if spare and asked - set(found) else found
-
-
-def _measured_between(features: Features, body: BodyModel, begin: float, end: float) -> dict[str, Delay]:
-    """Delays from the readings and images between begin and end (s)."""
-    encoders, seen = sound_measurements(features, body, begin, end)
+    encoders, seen = sound_measurements(features, body)
     found = {} if encoders is None else {name: measured(encoders, tracks) for name, tracks in seen.items()}
     return {name: delay for name, delay in found.items() if delay is not None}
 
 
 def sound_measurements(
-    features: Features, body: BodyModel, begin: float = -np.inf, end: float = np.inf
-) -> tuple[Encoders | None, Mapping[str, Sequence[Sighting]]]:
-    """Sound encoder readings and each camera's tracks between begin and end; None if a joint is missing."""
+    features: Features, body: BodyModel
+) -> tuple[Encoders | None, Mapping[str, Sequence[Sighting]]]:  # fmt: skip
+    """Sound encoder readings and each camera's tracks; None if a joint is missing."""
     joints, seen = features.joints, dict[str, list[Sighting]]()
     if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
         return None, {}
-    tracks = {name: _between(track, begin, end) for name, track in features.tracks.items()}
-    some = replace(features, joints=_between(joints, begin, end), tracks=tracks)
-    found = gather(some, body, Estimation(without=("touch",)))
-    for sighting in (one for one in found.sightings if one.name in tracks):
+    found = gather(features, body, Estimation(without=("touch",)))
+    for sighting in (one for one in found.sightings if one.name in features.tracks):
         seen.setdefault(camera(sighting.name), []).append(sighting)
     return None if found.encoders is None else repaired(found.encoders), seen
 
@@ -121,11 +106,16 @@ def sound_measurements(
 def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimate:
     """Return an estimate from the `timely` features with the images' original timestamps of `features`."""
 
-    def stamped(series_of: Mapping[str, Series]) -> dict[str, Series]:
-        tracks, stamps = timely.tracks, features.tracks
-        return {name: _stamped(series, tracks.get(name), stamps.get(name)) for name, series in series_of.items()}
+    def stamped(name: str, series: Series) -> Series:
+        track, timed = features.tracks.get(name), timely.tracks.get(name)
+        if track is None or timed is None or timed is track:
+            return series
+        order = np.argsort(timed.t, kind="stable")
+        return replace(series, t=track.t[order[np.searchsorted(timed.t, series.t, sorter=order)]])
 
-    return replace(found, errors=stamped(found.errors), predicted=stamped(found.predicted))
+    each = (found.errors, found.predicted)
+    errors, predicted = ({name: stamped(name, series) for name, series in one.items()} for one in each)
+    return replace(found, errors=errors, predicted=predicted)
 
 
 def add_delay_uncertainty(found: Estimate, timely: Corrected) -> Estimate:
@@ -166,21 +156,6 @@ def worded(seconds: float, error: float | None = None) -> str:
 
 def _shifted(series: Series, delay: float) -> Series:
     return replace(series, t=series.t - delay) if delay else series
-
-
-def _stamped(series: Series, timely: Series | None, track: Series | None) -> Series:
-    """The series with the times of `timely` replaced by those of `track`."""
-    if timely is None or track is None or timely is track:
-        return series
-    order = np.argsort(timely.t, kind="stable")
-    return replace(series, t=track.t[order[np.searchsorted(timely.t[order], series.t)]])
-
-
-def _between(series: Series, begin: float, end: float) -> Series:
-    """The rows of a series between two times (s)."""
-    some = rows((series.t >= begin) & (series.t <= end))
-    std = None if series.std is None else series.std[some]
-    return replace(series, t=series.t[some], values=series.values[some], source_ns=series.source_ns[some], std=std)
 
 
 def learned_delays(body: BodyModel) -> dict[str, float]:

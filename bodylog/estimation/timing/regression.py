@@ -23,7 +23,7 @@ ROUNDS, STILL = 12, 0.05
 """Most rounds, and the change in standard errors that ends them."""
 TAME = 4.0
 """Squared residuals over their variance that have half weight."""
-ONE = 0.6
+ONE = 0.65
 """Least share of the information that must keep its weight (0.72 for normal errors); else no one delay fits the log."""
 
 
