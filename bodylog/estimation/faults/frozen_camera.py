@@ -10,8 +10,8 @@ from ..measurements.long_arrays import seen
 from ..measurements.records import Encoders, Evidence, Sighting
 from .repeats import repeats
 
-FRAMES, PARTS = 5, 8
-"""Fewest frames of a stretch of exactly repeated positions, and parts of it in which encoders are averaged."""
+PARTS = 8
+"""Parts of a stretch of exactly repeated positions in which encoders are averaged."""
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Evidence:
@@ -34,7 +34,7 @@ def _moving(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]
     """Return positions (N,D) with false repeats as NaN, the first of each stretch kept, and the faults."""
     shown = np.flatnonzero(seen(sighting.values))
     values, found = sighting.values.copy(), []
-    for begin, end in repeats(sighting.t[shown], sighting.values[shown], FRAMES):
+    for begin, end in repeats(sighting.t[shown], sighting.values[shown]):
         own = shown[begin:end]
         if moved := _moved(sighting, encoders, sighting.t[own[0]], sighting.t[own[-1]]):
             values[own[1:]] = np.nan

@@ -197,7 +197,7 @@ def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
 
 def _offset_covariance(t: Array, lean: Array, std: float, walk: float) -> Array:
     """Covariance (R,R) px² added by encoders' offsets of `std` rad that wander by `walk` rad²/s; lean (R,J) px/rad."""
-    since = t - t.min()
+    since = t - t.min(initial=np.inf)
     return np.asarray((lean @ lean.T) * (std**2 + walk * np.minimum.outer(since, since)))
 
 

@@ -15,8 +15,8 @@ from ..noise.quantisation import step_size
 from .jumping import shifts
 from .threshold import NATS
 
-FROZEN, FEWEST = 0.5, 10
-"""s and readings: shortest stretch of one repeated value that may be a freeze."""
+FROZEN = 0.5
+"""s: shortest stretch of one repeated value that may be a freeze."""
 RARE = 0.02
 """Largest share of repeats of a noisy encoder; one that repeats more often counts in steps."""
 SILENT = 1.0
@@ -58,15 +58,13 @@ def silence(t: Array, y: Array) -> tuple[float, float]:
     return known[-1], NATS * (t[-1] - known[-1]) / max(SILENT, 2.0 * np.diff(known).max(initial=0.0))
 
 
-def repeats(t: Array, y: Array, fewest: int = FEWEST) -> list[tuple[int, int]]:
+def repeats(t: Array, y: Array) -> list[tuple[int, int]]:
     """Return long stretches [begin, end) of bitwise equal readings y (N,) or (N,D) at t (N,) s, the first included."""
     same = np.diff(y, axis=0) == 0.0
     same = same if y.ndim == 1 else all_of_row(same)
-    if np.count_nonzero(same) < fewest - 1:
-        return []
     edges = np.flatnonzero(np.diff(same, prepend=False, append=False)).tolist()
     runs = zip(edges[::2], edges[1::2], strict=True)
-    return [(a, b + 1) for a, b in runs if t[b] - t[a] > FROZEN and b + 1 - a >= fewest]
+    return [(a, b + 1) for a, b in runs if t[b] - t[a] > FROZEN]
 
 
 def noisy(y: Array) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from ...types import Array
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track_curve import BLUNDER, FEWEST, Curve, interpolated, track_curve
-from .regression import FARTHEST, ROUNDS, STEP, STILL, Delay
+from .regression import FARTHEST, ROUNDS, STILL, Delay
 
 MOST = 400
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
@@ -36,7 +36,7 @@ def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prio
         if weight <= 0.0 or abs(late) > FARTHEST:
             return None
         error = weight**-0.5
-        late -= float(np.clip(pull / weight, -STEP, STEP))
+        late -= float(pull / weight)
         if abs(pull / weight) < STILL * error:
             return Delay(late, error)
     return None

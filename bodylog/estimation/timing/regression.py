@@ -17,14 +17,15 @@ from ..measurements.track_curve import FEWEST, MOST, Rows, regression_rows, trac
 
 PART, STEPS, PARTS = 0.5, 12.0, 40
 """Shortest part of the jackknife in s and in steps of the curves, and the most parts."""
-STEP, FARTHEST = 0.15, 1.0
-"""s: largest change of τ in a round, and its largest value."""
+FARTHEST = 1.0
+"""s: largest delay."""
 ROUNDS, STILL = 12, 0.05
 """Most rounds, and the change in standard errors that ends them."""
 TAME = 4.0
 """Squared residuals over their variance that have half weight."""
-ONE = 0.65
-"""Least share of the information that must keep its weight (0.72 for normal errors); else no one delay fits the log."""
+ONE = 0.61
+"""Least share of the information that must keep its weight; else no one delay fits the log. The share is 0.72 for
+normal errors, 0.61 and more in 197 of 200 logs with a drifting encoder, 0.43 to 0.64 where a clock steps by 0.3 s."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
         if not 0.0 < lean[0] * float(weight @ rows.own) < 1.0:
             return None
         own = np.sqrt(spread * _variance(rows, weight[:, None] * (rows.slopes @ lean)))
-        late += float(np.clip(step, -STEP, STEP))
+        late += step
         if abs(step) < STILL * own:
             information = np.square(rows.slopes @ lean).sum(axis=1)
             if weight @ information < ONE * information.sum():
