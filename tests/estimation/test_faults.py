@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.estimation import estimate
 from bodylog.estimation.faults.jumping import jumps, unwrapped
-from bodylog.estimation.faults.repeats import silence, stuck
+from bodylog.estimation.faults.repeats import silent, stuck
 from bodylog.estimation.faults.threshold import NATS
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Linear
@@ -236,13 +236,13 @@ def test_whole_turns_are_unwrapped_and_are_no_jumps(world):
     assert not estimate(features, sound.body, Estimation()).faults
 
 
-def test_silence_ignores_an_encoder_with_rare_readings():
+def test_silent_ignores_an_encoder_with_rare_readings():
     t = np.arange(0.0, 10.0, 0.02)
     seldom = np.where(np.arange(len(t)) % 40 == 0, 0.1, np.nan)
     seldom[t > 8.9] = np.nan
-    assert silence(t, seldom)[1] < NATS
-    last, nats = silence(t, np.where(t < 6.0, 0.1, np.nan))
-    assert last == pytest.approx(5.98) and nats > NATS
+    assert silent(t, seldom).nats < NATS
+    dead = silent(t, np.where(t < 6.0, 0.1, np.nan))
+    assert t[dead.begin] == pytest.approx(5.98) and dead.nats > NATS
 
 
 @pytest.mark.parametrize("moves", ["sines", "reach"])

@@ -24,7 +24,7 @@ SILENT = 1.0
 
 
 class Stuck(NamedTuple):
-    """Repeated readings [begin, end) of an encoder, frozen or dead, and the nats this wins over rest."""
+    """Readings [begin, end) that a frozen or dead encoder repeats, none if it is silent, and the nats it wins."""
 
     kind: str
     begin: int
@@ -49,13 +49,13 @@ def stuck(t: Array, y: Array, moved: Callable[[int, int], float]) -> Iterator[St
         yield Stuck("dead" if dead else "frozen", begin + (not dead), end, nats)
 
 
-def silence(t: Array, y: Array) -> tuple[float, float]:
-    """Time (s) of the last of readings y (N,) rad at t (N,) s, and the nats that an encoder wins that is silent since.
-
-    SILENT, and twice its longest silence before, win NATS.
+def silent(t: Array, y: Array) -> Stuck:
+    """The last of readings y (N,) rad at t (N,) s: dead since then if that is SILENT ago, and twice its longest silence
+    before.
     """
-    known = t[np.isfinite(y)]
-    return known[-1], NATS * (t[-1] - known[-1]) / max(SILENT, 2.0 * np.diff(known).max(initial=0.0))
+    known = np.flatnonzero(np.isfinite(y))
+    longest, last = np.diff(t[known]).max(initial=0.0), int(known[-1])
+    return Stuck("dead", last, last, NATS * float(t[-1] - t[last]) / max(SILENT, 2.0 * longest))
 
 
 def repeats(t: Array, y: Array) -> list[tuple[int, int]]:

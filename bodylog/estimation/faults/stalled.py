@@ -20,8 +20,6 @@ PART, FEWEST = 0.25, 3
 
 def motion_nats(encoders: Encoders, images: Sequence[Sighting], joint: int, begin: int, end: int) -> float:
     """Nats that motion of a joint wins in images while its encoder repeats the readings [begin, end)."""
-    if not np.isfinite(encoders.values).any(axis=0).all():
-        return 0.0
     return max((_moved(encoders, joint, s, encoders.t[begin], encoders.t[end - 1]) for s in images), default=0.0)
 
 
