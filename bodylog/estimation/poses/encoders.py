@@ -53,13 +53,11 @@ def learned(poses: Poses, known: Array, names: tuple[str, ...], noise: bool, bia
     if not len(some) or not (noise or bias != "off"):
         return found
     x: Array | None = None
-    begin = [np.log(known), np.full(m, 2.0 * np.log(FAR))]
     for turn in range(3):
         # at first, angles are where the images want them
         trusted = poses.encoded(np.maximum(found.variance, FAR**2) if turn == 0 else found.variance, found.offset)
         errors, x = _errors(poses, trusted, some, x)
-        found = _chosen(errors, known, names, noise, bias, begin)
-        begin = [np.log(found.variance)]
+        found = _chosen(errors, known, names, noise, bias, np.log(found.variance))
     return found
 
 
@@ -74,13 +72,11 @@ def _errors(poses: Poses, trusted: Poses, some: Array, x: Array | None) -> tuple
     return Errors(information, pull, np.isfinite(z), poses.span), at.x
 
 
-def _chosen(
-    errors: Errors, known: Array, names: tuple[str, ...], noise: bool, bias: str, begin: list[Array]
-) -> Encoding:
+def _chosen(errors: Errors, known: Array, names: tuple[str, ...], noise: bool, bias: str, begin: Array) -> Encoding:
     """Noise and offsets of greatest evidence; with `auto`, one offset after the other while each wins NATS.
 
-    The search for the noise starts at each of `begin`. Offsets are tried that win at the present noise. Where another
-    joint's offset explains nearly as much, none is chosen.
+    The search for the noise starts at `begin`, the ln variances (M,). Offsets are tried that win at the present noise.
+    Where another joint's offset explains nearly as much, none is chosen.
     """
     joints, findings = np.arange(len(known)), list[Finding]()
     free = np.full(len(known), bias == "on")
@@ -89,7 +85,7 @@ def _chosen(
         now = evidence(log_var, errors, free)[0]
         more = {j: free | (joints == j) for j in joints[~free].tolist()}
         likely = {j: one for j, one in more.items() if evidence(log_var, errors, one)[0] > now}
-        trials = {j: _best(errors, known, one, noise, [*begin, log_var]) for j, one in likely.items()}
+        trials = {j: _best(errors, known, one, noise, log_var) for j, one in likely.items()}
         best = max(trials, key=lambda j: trials[j][0], default=-1)
         if best < 0 or trials[best][0] - value < NATS:
             break
@@ -103,7 +99,7 @@ def _chosen(
     return Encoding(np.exp(log_var), offset, np.diag(cov), tuple(findings))
 
 
-def _best(errors: Errors, known: Array, free: Array, noise: bool, begin: list[Array]) -> tuple[float, Array]:
+def _best(errors: Errors, known: Array, free: Array, noise: bool, begin: Array) -> tuple[float, Array]:
     """Greatest evidence (nats) with offsets `free` (M,), and the ln variances (M,) of encoders where it is reached."""
     from scipy.optimize import minimize
 
@@ -118,8 +114,7 @@ def _best(errors: Errors, known: Array, free: Array, noise: bool, begin: list[Ar
         return -value + 0.5 * float((log_var - first) @ away), -slope + away
 
     bounds = [(2.0 * np.log(1e-6), 2.0 * np.log(10.0))] * len(first)  # rad
-    found = [minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in begin]
-    best = min(found, key=lambda one: float(one.fun))
+    best = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=bounds)
     return -float(best.fun), np.asarray(best.x)
 
 
