@@ -53,11 +53,7 @@ def _moved(sighting: Sighting, encoders: Encoders, begin: float, end: float) -> 
     noise = 2.0 * (np.square(sighting.model.predict(means)[1]) * var).sum(axis=(1, 2)).max()
     # a single encoder against the images may itself be faulty
     without = [np.where(alone, means[0], means) for alone in np.eye(means.shape[1]) > 0]
-    apart = min(_spread(sighting.model.predict(some)[0]) for some in without)
+    places = np.stack([sighting.model.predict(some)[0] for some in without])
+    apart = float(np.linalg.norm(places[:, :, None] - places[:, None], axis=3).max(axis=(1, 2)).min())
     # six standard deviations of the largest of 28 distances, and a pixel
     return apart if apart > max(6.0 * float(np.sqrt(noise)), 1.0) else 0.0
-
-
-def _spread(places: Array) -> float:
-    """Largest distance between two positions (N,D)."""
-    return float(np.linalg.norm(places[:, None] - places[None], axis=2).max())

@@ -20,9 +20,6 @@ from ..noise.evidence_search import ROUGHLY
 from .repeats import SILENT
 from .threshold import FAR
 
-APART = 0.5 * OFFSET_STD
-"""rad: sizes tried on both sides of a step's."""
-
 
 class Way(NamedTuple):
     """A problem with one more offset, its cost (nats), and the fault if the offset is a step."""
@@ -67,7 +64,7 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
         row = min(rows, key=lambda row: nats(row, size))
         # an encoder that is off within the first second is off from the start
         row = row if t[row] - t[0] >= SILENT else 0
-        lowest = _lowest([nats(row, size + apart) for apart in (-APART, 0.0, APART)])
+        lowest = _lowest([nats(row, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)])
     except DidNotConverge:
         return None
     if lowest is None:
@@ -81,9 +78,9 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
 
 
 def _lowest(nats: Sequence[float]) -> tuple[float, float, float] | None:
-    """The lowest cost (nats) on a parabola through three costs APART, its place from the middle and its std (rad)."""
+    """Lowest cost (nats) on a parabola through three OFFSET_STD apart, its place from the middle, its std (rad)."""
     below, cost, above = nats
-    bend, slope = (below - 2.0 * cost + above) / APART**2, (above - below) / (2.0 * APART)
+    bend, slope = (below - 2.0 * cost + above) / OFFSET_STD**2, (above - below) / (2.0 * OFFSET_STD)
     return None if bend <= 0.0 else (cost - 0.5 * slope**2 / bend, -slope / bend, float(bend**-0.5))
 
 
