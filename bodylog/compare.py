@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
 from .body_model import BodyModel
@@ -13,7 +14,7 @@ from .fault_findings import fault_warnings
 from .logs.protocol import Progress
 from .pipeline import infer, observe
 from .scoring import score_estimate
-from .settings import Settings
+from .settings import Estimation, Settings
 from .types import Features, Finding, Recording, Score
 
 
@@ -41,7 +42,6 @@ def compare(
     if no sense has readings.
     """
     from .body import storage
-    from .estimation.methods import choices
 
     learned = storage.load(body)
     settings = of_body(learned, settings)
@@ -49,13 +49,13 @@ def compare(
     cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
     same_size(log, learned, features, settings)
     with log_context(log, read.findings):
-        subsets, silent = choices.subsets(features, learned, settings.estimate)
-    if not subsets:
+        combined, silent = subsets(features, learned, settings.estimate)
+    if not combined:
         why = f"no sense of {body} has readings in it; type: bodylog info {log}"
         raise EvidenceError(f"{log}: {why}{loss_note(log, read.findings)}")
     rows: list[Row] = []
     refused: dict[str, InputError | UsageError] = {}
-    for asked in _asked(settings, subsets, silent):
+    for asked in _asked(settings, combined, silent):
         try:
             rows.append(_row(features, learned, asked, read))
         except (InputError, UsageError) as problem:
@@ -69,12 +69,33 @@ def compare(
     return rows, (*read.findings, *features.findings, *cameras, *_labelled(rows, refused))
 
 
-def _asked(settings: Settings, subsets: Sequence[tuple[str, ...]], silent: tuple[str, ...]) -> Iterator[Settings]:
+def subsets(features: Features, body: BodyModel, settings: Estimation) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:
+    """Every non-empty subset of the senses that are allowed and have readings, all of them first.
+
+    Also the excluded joints and tracks. UsageError if the settings name an unknown one.
+    """
+    from .estimation.measurements.gather import chosen, gather
+
+    used = gather(features, body, settings).used
+    felt = features.touches and features.synchrony and features.hand is not None
+    present = {
+        "encoders": used["encoders"].used > 0,
+        "vision": any(one.used for name, one in used.items() if name not in ("encoders", "touch")),
+        "touch": "touch" in used and felt,
+    }
+    here = [name for name, there in present.items() if there]
+    rows = [some for size in range(len(here), 0, -1) for some in combinations(here, size)]
+    visual = [name for name in features.tracks if name in body.senses]
+    wanted = chosen(visual, body, settings)
+    return rows, tuple(name for name in (*body.joints, *visual) if name not in wanted)
+
+
+def _asked(settings: Settings, combined: Sequence[tuple[str, ...]], silent: tuple[str, ...]) -> Iterator[Settings]:
     """Every method with every subset of the senses that it can use, as settings."""
     from .estimation import METHODS
 
     for method in METHODS:
-        for senses in subsets:
+        for senses in combined:
             if METHODS[method].senses.issuperset(senses):
                 asked = replace(settings.estimate, method=method, senses=senses, without=silent)
                 yield replace(settings, estimate=asked)

@@ -11,9 +11,8 @@ from ..types import Estimate, Features
 from .faults.consistency import consistency_findings
 from .inference import kernel
 from .measurements import gather
-from .methods.choices import ignored_settings
 from .methods.finite import finite, solvable
-from .methods.table import METHODS
+from .methods.table import METHODS, ignored_settings
 from .noise import typed
 from .poses.estimate import estimate as still_poses
 from .timing.correction import add_delay_uncertainty, as_stamped, corrected

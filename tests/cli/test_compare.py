@@ -10,7 +10,6 @@ from bodylog import compare
 from bodylog.body import storage
 from bodylog.estimation import METHODS
 from bodylog.estimation.inference import kernel
-from bodylog.estimation.methods import choices
 from bodylog.settings import Estimation, Settings
 
 from .spoilt import spoil
@@ -91,8 +90,8 @@ def test_encoders_that_never_spoke_are_no_sense(robot):
     _, features = observe(robot / "reach.mcap", Settings())
     body = storage.load(robot / "body.npz")
     mute = replace(features, joints=replace(features.joints, values=np.full_like(features.joints.values, np.nan)))
-    assert choices.subsets(mute, body, Estimation(without=("touch",)))[0] == [("vision",)]
-    assert choices.subsets(mute, body, Estimation(senses=("encoders",)))[0] == []
+    assert compare.subsets(mute, body, Estimation(without=("touch",)))[0] == [("vision",)]
+    assert compare.subsets(mute, body, Estimation(senses=("encoders",)))[0] == []
 
 
 @pytest.mark.parametrize("command", ["compare", "estimate", "batch"])

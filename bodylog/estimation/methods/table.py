@@ -1,11 +1,11 @@
-"""The table of methods: the function of each and what it can do."""
+"""The table of methods: the function of each, what it can do, and which settings it ignores."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from ...body_model import BodyModel
 from ...settings import Estimation
-from ...types import Capabilities, Estimate, Features
+from ...types import Capabilities, Estimate, Features, Finding
 from . import filtering, kalman, predictive_coding, smoother
 
 
@@ -42,3 +42,16 @@ METHODS: Mapping[str, Method] = {
         literal_touch=True, encoder_model=True,
     ),
 }  # fmt: skip
+
+
+def ignored_settings(settings: Estimation) -> tuple[Finding, ...]:
+    """Warnings for settings that differ from their defaults and that the method ignores."""
+    heeds, paper = METHODS[settings.method].heeds, settings.preset == "paper"
+    asked = {"bias": "on", "precision": "model"}.items()
+    set_to = {name: value for name, value in asked if getattr(settings, name) == value and (paper or name not in heeds)}
+    ignored = {**set_to, **{key: value for key, value in settings.typed.items() if key not in heeds}}
+    by = f"{settings.method}{' with the preset paper' * paper}"
+    return tuple(
+        Finding("warning", f"{name}: {value!r} is ignored by {by}; leave it out, or type --method laplace")
+        for name, value in ignored.items()
+    )
