@@ -14,9 +14,6 @@ from .kernel import fields, run
 from .motion import EVEN
 from .scan import BLOCK, Keep, Trace, scan
 
-NEAR = 1024
-"""Instants whose readings give the adjoint before the first of them, in most logs."""
-
 
 class _Adjoint(ctypes.Structure):
     _fields_ = fields(
@@ -37,10 +34,10 @@ def smoothed(readings: Readings, trace: Trace, end: Array, dynamics: Dynamics) -
 
 
 def at_start(readings: Readings, trace: Trace, dynamics: Dynamics) -> Array:
-    """Adjoints (K,C) before the first instant, by the instants NEAR it: what comes after them rarely matters."""
+    """Adjoints (K,C) before the first instant, by the first blocks: what comes after them rarely matters."""
     assert trace.p is not None
     length, o, _, c = trace.p.shape
-    x = np.empty((min(NEAR, length), o, c))
+    x = np.empty((min(4 * BLOCK, length), o, c))
     return _back(readings, trace, np.zeros((trace.z.shape[1], 1, c)), dynamics, smooth=x)[:, 0]
 
 
