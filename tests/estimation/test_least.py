@@ -38,30 +38,24 @@ def errors(drawn):
     return np.sqrt(apart.mean()), (apart / np.einsum("nii->ni", found.cov)).mean()
 
 
-@pytest.mark.parametrize("which", range(5))
+@pytest.mark.parametrize("beyond", [0.0, 1.0, 2.0])
 @pytest.mark.parametrize("order", [2, 3])
-def test_smoother_process_constants_follow_from_the_spectrum(order, which):
-    u, known = np.exp(np.linspace(-10.0, 8.0, 100_001)), least.spectra(order)
-    power = known.powers[which]
+def test_the_move_at_the_least_error_follows_from_the_spectrum(order, beyond):
+    u, power = np.exp(np.linspace(-10.0, 8.0, 100_001)), 2.0 * order + beyond
 
     def whole(y):
         return float(trapezoid(y * u, np.log(u)))
 
-    def passed(q):
-        return 1.0 / (1.0 + u ** (2 * order) / q)
-
-    # (noise, motion) of the error, by how far the path moves
-    noise, spectrum, root = whole(passed(1.0) ** 2), u**-power, np.sqrt(known.step)
-    moved = np.square(passed(root) - passed(1.0 / root))
-    strength = (known.most[which] - 1.0) * whole(moved) / whole(moved * spectrum)
-    motion = strength * whole((1.0 - passed(1.0)) ** 2 * spectrum)
-    sway = whole(moved + moved * strength * spectrum) / whole(passed(1.0))
-    assert known.noise == pytest.approx(1.0 - 0.5 / order, rel=2e-3)
-    assert (noise + motion) / whole(passed(1.0)) == pytest.approx(
-        known.noise + known.left[which] * (sway - known.sway), rel=2e-3
+    passed, spectrum = 1.0 / (1.0 + u ** (2 * order)), u**-power
+    noise, moved = whole(passed**2), np.square(passed * (1.0 - passed))
+    strength = (least.move_at_least(power, order) - 1.0) * whole(moved) / whole(moved * spectrum)
+    motion = strength * whole((1.0 - passed) ** 2 * spectrum)
+    assert noise == pytest.approx((1.0 - 0.5 / order) * whole(passed), rel=2e-3)
+    assert motion == pytest.approx(noise / (power - 1.0), rel=2e-3)
+    # how the sum changes with ln q
+    assert noise / (2.0 * order) == pytest.approx(
+        2.0 * strength * whole(passed * (1.0 - passed) ** 2 * spectrum), rel=2e-3
     )
-    slope = noise / (2.0 * order) - 2.0 * strength * whole(passed(1.0) * (1.0 - passed(1.0)) ** 2 * spectrum)
-    assert power > 2.0 * order + 2.0 or abs(slope) < 2e-3 * noise
 
 
 @pytest.mark.parametrize(("moved", "gain"), [("sines", 0.95), ("white", 1.04)])

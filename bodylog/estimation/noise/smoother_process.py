@@ -6,14 +6,13 @@ q shows what motion adds to the error near the cut-off. Noise makes 1 − 1/2n o
 q^(1/2n). For angles with spectrum ω^−p, motion adds an error that falls as q^(−(p − 1)/2n). The sum is least where the
 latter is 1/(p − 1) of the former. p is 2n for white noise and 8 for minimum-jerk reaches (Flash & Hogan 1985); the rate
 at which moves fall with q shows it. Beyond 2n + 2 the error hardly falls, so q stays at its value there. The stated
-share of V is noise, plus motion as far as the path still moves.
+share of V is that of noise and motion where their sum is least, (1 − 1/2n) p/(p − 1).
 """
 
 from dataclasses import replace
-from functools import cache
-from typing import NamedTuple
 
 import numpy as np
+from scipy.special import beta
 
 from ...types import Array
 from ..inference import adjoint
@@ -25,47 +24,8 @@ from ..inference.solution import Solution
 from .correlated_noise import WHOLE
 from .visibility import LONG
 
-PER_STEP = 2
-"""Factors tried per step of the cut-off by √2. With 1 the errors of two recorded logs are 1 to 7 % larger, those of 120
-drawn ones the same to 0.3 %."""
 TURNS = 2
 """Rounds in which stretches hand over their ends."""
-
-
-class Spectra(NamedTuple):
-    """What a smoother of one order does to motion of spectrum ω^−p, for each of the powers p (5,).
-
-    step: factor on q that moves the cut-off by √2 · most: mean squared move of the path per step, over that of noise,
-    at the least error · left: error by motion over the path's move · noise, sway: shares of V, error by noise and the
-    path's mean squared move by noise.
-    """
-
-    step: float
-    powers: Array
-    most: Array
-    left: Array
-    noise: float
-    sway: float
-
-
-@cache
-def spectra(order: int) -> Spectra:
-    """By quadrature, with the smoother's response 1/(1 + u²ⁿ/q), u the frequency over the cut-off."""
-    u, step, powers = np.exp(np.linspace(-10.0, 8.0, 4001)), 2.0**order, 2.0 * order + np.arange(5.0)
-
-    def passed(q: float) -> Array:
-        return np.asarray(1.0 / (1.0 + u ** (2 * order) / q))
-
-    def whole(y: Array) -> Array:
-        return np.asarray(np.trapezoid(y * u, np.log(u)))
-
-    moved, motion = np.square(passed(step**0.5) - passed(step**-0.5)), u ** -powers[:, None]
-    noise, missed = whole(passed(1.0) ** 2), whole((1.0 - passed(1.0)) ** 2 * motion)
-    most = 1.0 + noise / ((powers - 1.0) * missed) * whole(moved * motion) / whole(moved)
-    v = whole(passed(1.0))
-    flat = np.minimum(powers, powers[2])
-    most, left = np.interp(flat, powers, most), missed / whole(moved * motion)
-    return Spectra(step, powers, most, left, float(noise / v), float(whole(moved) / v))
 
 
 def least(part: Problem, solved: Solution) -> tuple[Array, float]:
@@ -73,26 +33,41 @@ def least(part: Problem, solved: Solution) -> tuple[Array, float]:
 
     `solved`: the solution of the filter.
     """
-    known = spectra(part.precision.order)
-    factors = known.step ** np.arange(-3.0, 2.5, 1.0 / PER_STEP)
-    paths, var = _paths(part, solved, factors)
+    order = part.precision.order
+    step = 2.0 ** (0.5 * order)  # moves the cut-off by 2^¼
+    factors = step ** np.arange(-6.0, 5.0)
     present = _without_gaps(part, part.timeline.t[part.timeline.sampled])
-    moves = np.square(paths[PER_STEP:] - paths[:-PER_STEP])[:, present]
-    moved = moves.mean(axis=1)
+    moved = np.square(np.diff(_paths(part, solved, factors), axis=0))[:, present].mean(axis=1)
     # noise's share of it grows as q^(1/2n)
-    noise = moved[-1] * (factors[:-PER_STEP] / factors[-PER_STEP - 1])[:, None] ** (1.0 / known.powers[0])
+    noise = moved[-1] * (factors[:-1] / factors[-2])[:, None] ** (0.5 / order)
     ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
-    power = _power(ratios, known)
-    over = np.log(np.maximum(ratios, np.finfo(float).tiny) / np.interp(power, known.powers, known.most))
+    power = _power(ratios, step, order)
+    over = np.log(np.maximum(ratios, np.finfo(float).tiny) / move_at_least(power, order))
     last = int(np.flatnonzero(over > 0.0).max(initial=-1))
-    beyond = 0.5 * PER_STEP + over[last] / (over[last] - over[last + 1]) if last >= 0 else 0.0
-    # the path's mean squared move per step at this factor, over V
-    sway = (moves / np.sqrt(var[PER_STEP:] * var[:-PER_STEP])[:, present]).mean(axis=(1, 2))
-    sway = np.maximum(sway, np.finfo(float).tiny)  # 0 between poses that are far apart
-    sway = np.exp(np.interp(max(last, 0) + beyond - 0.5 * PER_STEP, np.arange(len(sway)), np.log(sway)))
-    stated = known.noise + np.interp(power, known.powers, known.left) * (sway - known.sway)
-    factor = factors[max(last, 0)] * known.step ** (beyond / PER_STEP)
-    return np.asarray(part.precision.process * factor), float(np.clip(stated, known.noise, 1.0))
+    beyond = 0.5 + over[last] / (over[last] - over[last + 1]) if last >= 0 else 0.0
+    factor = factors[max(last, 0)] * step**beyond
+    return np.asarray(part.precision.process * factor), _of_noise(part) * power / (power - 1.0)
+
+
+def move_at_least(power: float, order: int) -> float:
+    """How far the path moves with ln q at the least error, squared, over that by noise; motion's spectrum is ω^−power.
+
+    By the smoother's response 1 / (1 + u²ⁿ), u the frequency over the cut-off, which moves by u²ⁿ / (1 + u²ⁿ)².
+    """
+    p = min(power, 2.0 * order + 2.0)
+
+    def whole(p: float, k: int) -> float:
+        """Integral of u^(4n − p) / (1 + u²ⁿ)^k, times 2n."""
+        share = 2.0 + (1.0 - p) / (2 * order)
+        return float(beta(share, k - share))
+
+    noise, missed = whole(4.0 * order, 2), whole(p, 2)
+    return 1.0 + noise / ((p - 1.0) * missed) * whole(p, 4) / whole(0.0, 4)
+
+
+def _of_noise(part: Problem) -> float:
+    """Share of V that noise makes."""
+    return 1.0 - 0.5 / part.precision.order
 
 
 def _without_gaps(part: Problem, t: Array) -> Array:
@@ -106,36 +81,32 @@ def _without_gaps(part: Problem, t: Array) -> Array:
     return quick[np.searchsorted(known, t)]
 
 
-def _power(ratios: Array, known: Spectra) -> float:
-    """p, from the rate at which moves over those of noise, 1 + b q^(−p/2n), fall; ratios (5,)."""
-    last = max(int(np.flatnonzero(ratios > known.most[0]).max(initial=0)), PER_STEP)
-    before, after = ratios[[last - PER_STEP, last]] - 1.0
+def _power(ratios: Array, step: float, order: int) -> float:
+    """p, from the rate at which moves over those of noise, 1 + b q^(−p/2n), fall; ratios (10,), a step of q apart."""
+    last = max(int(np.flatnonzero(ratios > move_at_least(2.0 * order, order)).max(initial=0)), 2)
+    before, after = ratios[[last - 2, last]] - 1.0
     if after <= 0.0 or before <= after:
-        return float(known.powers[-1])
-    rate = np.log(before / after) / np.log(known.step)
-    return float(np.clip(known.powers[0] * rate, known.powers[0], known.powers[-1]))
+        return 2.0 * order + 4.0
+    rate = np.log(before / after) / (2.0 * np.log(step))
+    return float(np.clip(2.0 * order * rate, 2.0 * order, 2.0 * order + 4.0))
 
 
-def _paths(part: Problem, solved: Solution, factors: Array) -> tuple[Array, Array]:
-    """Smoothed angles (G,B,M) for each factor at the images, with the tangents of `solved`; and V there.
+def _paths(part: Problem, solved: Solution, factors: Array) -> Array:
+    """Smoothed angles (G,B,M) for each factor at the images, with the tangents of `solved`.
 
     One factor after the other, as a smoother keeps covariances of all instants.
     """
     solved.tangents.draw(part, solved.fold, solved.readings)
-    known, trace, found = spectra(part.precision.order), None, []
+    trace, paths = None, []
     for process in factors[:, None] * part.precision.process:
-        posed = replace(part, precision=replace(part.precision, process=process, stated=known.noise))
-        path, var, trace = _path(posed, solved, trace)
-        found.append((path, var))
-    paths, variances = map(np.stack, zip(*found, strict=True))
-    return paths, variances
+        posed = replace(part, precision=replace(part.precision, process=process, stated=_of_noise(part)))
+        path, trace = _path(posed, solved, trace)
+        paths.append(path)
+    return np.stack(paths)
 
 
-def _path(posed: Problem, solved: Solution, into: Trace | None) -> tuple[Array, Array, Trace]:
-    """Smoothed angles (B,M) and V (B,M) at the images; and the trace, which may be `into`, overwritten.
-
-    A steady smoother has 1/2n of its filter's variance.
-    """
+def _path(posed: Problem, solved: Solution, into: Trace | None) -> tuple[Array, Trace]:
+    """Smoothed angles (B,M) at the images; and the trace, which may be `into`, overwritten."""
     fold, dynamics, m = solved.fold, posed.dynamics, len(posed.start)
     var = solved.tangents.weighed(posed, fold, solved.readings, WHOLE)
     readings, trace = replace(solved.readings, var=var), into
@@ -148,8 +119,7 @@ def _path(posed: Problem, solved: Solution, into: Trace | None) -> tuple[Array, 
     for _ in range(TURNS):
         smooth, start = adjoint.smoothed(readings, trace, ends, dynamics)
         ends = adjoint.before(start)
-    var, images = 0.5 / dynamics.order * np.einsum("liic->lic", trace.cov[:, :m, :m]), posed.timeline.sampled
-    return fold.unfold(smooth[:, :m])[images], fold.unfold(var)[images], trace
+    return fold.unfold(smooth[:, :m])[posed.timeline.sampled], trace
 
 
 def side_by_side(
