@@ -21,7 +21,7 @@ def with_images(features, first, last):
 @pytest.mark.parametrize("last", [0.05, 0.2, 3.0])
 @pytest.mark.parametrize("first", [0.0, 150.0])
 def test_few_images_at_one_end_do_not_spoil_a_long_log(world, monkeypatch, first, last):
-    monkeypatch.setattr(evidence_search, "AVERAGES", 4000)
+    monkeypatch.setattr(evidence_search, "INSTANTS", 4000)
     drawn = world(0, duration=200.0)
     some, none = (
         estimate(with_images(drawn.features, first, end), drawn.body, Estimation(method="smoother")).joints.values
@@ -32,7 +32,7 @@ def test_few_images_at_one_end_do_not_spoil_a_long_log(world, monkeypatch, first
 
 
 def test_noise_is_tuned_where_many_images_come_before_all_readings(world, monkeypatch):
-    monkeypatch.setattr(evidence_search, "MOST", 60)
+    monkeypatch.setattr(evidence_search, "INSTANTS", 250)
     drawn = world(0, duration=20.0)
     joints = drawn.features.joints
     late = joints.t > 10.0

@@ -15,14 +15,12 @@ from .visibility import LONG
 
 SPACING = 0.01
 """s: closer readings are averaged, because a short stretch shows no acceleration."""
-MOST = 6000
-"""Most averages used, from the middle of the log: more would not sharpen two numbers per joint."""
-LONGEST = 128
-"""Averages: longest memory tried. With 64, of 180 joints at rest for 12 to 60 s 39 % got a process density above the
-`floor`; with 128, 4 %; logs of motion have the same errors with both."""
-COARSE, FINE = 2.0 ** -np.linspace(0.0, 11.0, 16), 2.0 ** np.linspace(0.7, -0.7, 8)
-"""Memories tried over the longest; then, over the best of these. A parabola through the best three is exact to .05 in
-the logarithm of the density."""
+INSTANTS = 4000
+"""Most averages, or averages and images, used from the middle of the log: these tell a variance to √(2/N), 2 %."""
+MEMORIES = 2.0 ** np.linspace(7.7, -4.7, 48)
+"""Averages: memories tried; a parabola through the best three is exact to .05 in the logarithm of the density. With 64
+as the longest, of 180 joints at rest for 12 to 60 s 39 % got a process density above the `floor`; with 128, 4 %; logs
+of motion have the same errors with both."""
 BREAK = 10.0
 """Robust standard deviations: a larger second difference is a false reading, where the filter restarts."""
 AROUND = 5
@@ -68,7 +66,7 @@ def series(encoders: Encoders) -> list[Series]:
 
 
 def _of_joint(t: Array, y: Array) -> Series:
-    most = MOST * per_average(t)
+    most = INSTANTS * per_average(t)
     begin = max(0, (len(t) - most) // 2)
     t, y = t[begin : begin + most], y[begin : begin + most]
     if len(t) // per_average(t) <= STATES or np.ptp(y) == 0.0:
@@ -126,13 +124,9 @@ def likeliest(
 
     usual: noise variance of a reading before any is known · known: that of a mean.
     """
-    step, memory = median_step(series[0]), float(LONGEST)
-    for around in (COARSE, FINE):
-        memories = memory * around
-        # a ratio of 1 per average has a memory of one average
-        ratios = memories ** (-2 * order) / step ** (2 * order - 1)
-        score, noise, lag = evidence(*series, ratios, usual / each, order, known)
-        memory = float(memories[score.argmax()])
+    # a ratio of 1 per average has a memory of one average
+    ratios = MEMORIES ** (-2 * order) / median_step(series[0]) ** (2 * order - 1)
+    score, noise, lag = evidence(*series, ratios, usual / each, order, known)
     ratio, variance, nats = _peak(ratios, score, noise)
     if lag[score.argmax()] > GATE:
         ratio = _followed_by(series, ratio, variance, order)

@@ -17,19 +17,13 @@ from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import timeline
 from .correlated_noise import steady_variance
 from .encoder_evidence import STATES
-from .encoder_noise import averaged, floor, followable, per_average
+from .encoder_noise import INSTANTS, averaged, floor, followable, per_average
 from .noise_model import NoiseModel
 from .smoother_process import least, side_by_side
 from .visibility import View, views, visual
 
-MOST = 1000
-"""Most images of a track used, from the middle of the log."""
-AVERAGES = 10 * MOST
-"""Most averages of encoder readings used: 100 s at 100 Hz."""
 ROUGHLY = 1e-2
-"""Standard deviations: tolerance on starts for comparing a solution's evidence."""
-NEARLY = 0.25
-"""Standard deviations: tolerance on starts for comparing candidates that start there."""
+"""Standard deviations: tolerance on starts for comparing evidence."""
 ROUNDS = (1.2, 0.7, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
@@ -69,7 +63,7 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and seen(s.values).sum() > STATES]
     if not names and not whole:
         return problem.precision, None
-    solved = solve(part, rest=NEARLY)
+    solved = solve(part, rest=ROUGHLY)
     for half in ROUNDS if names else ():
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
@@ -94,19 +88,18 @@ def _less(problem: Problem) -> list[View]:
 def _with_view(part: Problem, view: View) -> tuple[Problem, Solution]:
     """The part with only these of its tracks, and its solution."""
     less = _measured(part, part.evidence.encoders, [s for s in part.evidence.sightings if s.name in view])
-    return less, solve(less, rest=NEARLY)
+    return less, solve(less, rest=ROUGHLY)
 
 
 def _of_smoother(part: Problem, solved: Solution, encoders: Encoders | None) -> NoiseModel:
     """A smoother's noise model, whose forward pass stays within the gate, with the share of its covariance to state."""
     precision = part.precision
-    if encoders is None:
-        process, stated = least(part, solved)
-        return replace(precision, process=process, stated=stated)
-    low = floor(encoders.t, precision.encoder, precision.order)
+    low = 0.0 if encoders is None else floor(encoders.t, precision.encoder, precision.order)
     held = replace(precision, process=np.maximum(precision.process, low))
     process, stated = least(replace(part, precision=held), solved)
-    process = followable(encoders, precision.encoder, np.maximum(process, low), precision.order)
+    process = np.maximum(process, low)
+    if encoders is not None:
+        process = followable(encoders, precision.encoder, process, precision.order)
     return replace(precision, process=process, stated=stated)
 
 
@@ -124,14 +117,11 @@ def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
     density = precision.encoder * median_step(encoders.t)
     var = solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))[part.timeline.sampled]
     together = np.sqrt(var).mean(axis=0)
-    unknown, white = (
-        np.minimum(together**2 / steady_variance(density, process, precision.order), 1.0)
-        for process in (precision.process, part.precision.process)
-    )
+    unknown = np.minimum(together**2 / steady_variance(density, precision.process, precision.order), 1.0)
     taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
     # a silent encoder has no share
     share = np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0)
-    return part.precision.held(share * alone + (1.0 - share) * part.precision.process, encoders, white)
+    return part.precision.held(share * alone + (1.0 - share) * part.precision.process, encoders)
 
 
 def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
@@ -173,7 +163,7 @@ def costs(part: Problem, solved: Solution, candidates: Array, names: list[str]) 
 
 
 def middle(problem: Problem) -> Problem:
-    """The middle of the log, with at most MOST images of any track and AVERAGES of encoder readings near these."""
+    """The problem with only the images and encoder readings nearest to the middle of the images, if there are many."""
     evidence, found = problem.evidence, problem.evidence.encoders
     seen_at = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
     low, high = span = _span(seen_at, np.empty(0) if found is None else found.t)
@@ -189,22 +179,18 @@ def middle(problem: Problem) -> Problem:
 
 
 def _span(seen_at: Array, read_at: Array) -> tuple[float, float]:
-    """First and last time (s) of at most MOST images and AVERAGES of readings; infinite if the log has no more.
+    """First and last time (s) of the INSTANTS images and averages nearest to the middle of the images among readings.
 
-    The images are those in the middle of theirs. Of the readings near these, it is those nearest to the middle of the
-    log that hold all images, or all of which are held by these.
+    Nearest to the middle of the readings if none are among these; infinite if the log has no more.
     """
-    begin, most = (len(seen_at) - MOST) // 2, AVERAGES * per_average(read_at)
-    low, high = (float(seen_at[begin]), float(seen_at[begin + MOST - 1])) if begin >= 0 else (-np.inf, np.inf)
-    first, last = np.searchsorted(read_at, low), np.searchsorted(read_at, high, "right")
-    if len(read_at) and first == last:  # these images come before or after all readings
-        low, high, first, last = -np.inf, np.inf, np.int64(0), np.int64(len(read_at))
-    if last - first <= most:
-        return low, high
-    held = np.clip(np.searchsorted(read_at, seen_at[[0, -1]]), first, last) if len(seen_at) else (first, last)
-    ends = held[0], held[1] - most
-    begin = int(np.clip((len(read_at) - most) // 2, min(ends), max(ends)))
-    return float(read_at[begin]), float(read_at[begin + most - 1])
+    every = np.concatenate([seen_at, read_at[:: per_average(read_at)]])
+    if len(every) <= INSTANTS:
+        return -np.inf, np.inf
+    low, high = (read_at[0], read_at[-1]) if len(read_at) else (-np.inf, np.inf)
+    among = seen_at[(seen_at >= low) & (seen_at <= high)]
+    centre = np.median(among if len(among) else read_at)
+    away = np.partition(np.abs(every - centre), INSTANTS - 1)[INSTANTS - 1]
+    return float(centre - away), float(centre + away)
 
 
 def thinned(problem: Problem) -> Problem:

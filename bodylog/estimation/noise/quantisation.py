@@ -4,8 +4,8 @@ import numpy as np
 
 from ...types import Array
 
-WHOLE, MOST = 0.02, 0.95
-"""Tolerance on multiples of the least step, and share of steps that must be multiples."""
+WHOLE = 0.02
+"""Mean distance of steps from multiples of the least one, over it, up to which it is the encoder's; by chance, ¼."""
 ONE = 0.15
 """s: where a reading repeats for longer, motion does not average its error, and the readings share it."""
 
@@ -17,7 +17,7 @@ def step_size(y: Array) -> float:
     if not len(steps):
         return 0.0
     counts = steps / steps.min()
-    return float(steps.min()) if np.mean(np.abs(counts - np.round(counts)) < WHOLE) > MOST else 0.0
+    return float(steps.min()) if np.abs(counts - np.round(counts)).mean() < WHOLE else 0.0
 
 
 def shared_variance(t: Array, y: Array) -> float:
