@@ -29,6 +29,10 @@ MEMORY = 1.0
 """s: longest memory of a filter for a joint at rest."""
 
 
+Averages = tuple[Array, Array, Array]
+"""Times (N,) s and values (N,) rad of means of readings, and where filters restart (N,) bool."""
+
+
 @dataclass(frozen=True, eq=False)
 class Learned:
     """encoder (M,) rad², also of readings dithered · process (M,) for motion of an order · evidence (nats) of all."""
@@ -41,15 +45,13 @@ class Learned:
 
 
 class Series(NamedTuple):
-    """A joint's readings, dithered, as means y (N,) rad at times t (N,) s of `each` of them, and where filters restart.
+    """A joint's readings, dithered, as `Averages` of `each` of them; None if they are too few or constant.
 
     added, least: variances (rad²) of the dither and, at least, of a reading · repeated: factor on the variance of
-    readings of a joint that are too few or constant, whose y is None.
+    readings without averages.
     """
 
-    t: Array
-    y: Array | None
-    fresh: Array
+    averages: Averages | None
     each: int = 1
     added: float = 0.0
     least: float = 0.0
@@ -70,10 +72,9 @@ def _of_joint(t: Array, y: Array) -> Series:
     begin = max(0, (len(t) - most) // 2)
     t, y = t[begin : begin + most], y[begin : begin + most]
     if len(t) // per_average(t) <= STATES or np.ptp(y) == 0.0:
-        return Series(t, None, t, repeated=shared_variance(t, y) if len(t) else 1.0)
+        return Series(None, repeated=shared_variance(t, y) if len(t) else 1.0)
     spread, added, least = dithered(t, y)
-    averages, each = _averages(t, spread)
-    return Series(*averages, each, added, least)
+    return Series(*_averages(t, spread), added, least)
 
 
 def learn(
@@ -87,10 +88,9 @@ def learn(
     """
     encoder, found, process, nats = encoder.copy(), encoder.copy(), process.copy(), 0.0
     for joint, one in enumerate(joints):
-        if one.y is not None:
-            readings, usual = (one.t, one.y, one.fresh), encoder[joint] + one.added
-            given = None if known is None else known[joint] / one.each
-            found[joint], process[joint], own = likeliest(readings, one.each, usual, order, given)
+        if one.averages is not None:
+            usual, given = encoder[joint] + one.added, None if known is None else known[joint] / one.each
+            found[joint], process[joint], own = likeliest(one.averages, one.each, usual, order, given)
             encoder[joint], nats = max(found[joint] - one.added, one.least), nats + own
         else:
             encoder[joint] *= one.repeated
@@ -106,8 +106,8 @@ def followable(encoders: Encoders, encoder: Array, process: Array, order: int) -
     for joint, column in enumerate(encoders.values.T):
         known = np.isfinite(column)
         if known.sum() // per_average(encoders.t[known]) > STATES:
-            (series, each), noise = _averages(encoders.t[known], column[known]), encoder[joint]
-            process[joint] = noise * _followed_by(series, process[joint] / noise, noise / each, order)
+            (averages, each), noise = _averages(encoders.t[known], column[known]), encoder[joint]
+            process[joint] = noise * _followed_by(averages, process[joint] / noise, noise / each, order)
     return process
 
 
@@ -118,25 +118,25 @@ def floor(t: Array, encoder: Array, order: int) -> Array:
 
 
 def likeliest(
-    series: tuple[Array, Array, Array], each: int, usual: float, order: int = 2, known: float | None = None
+    averages: Averages, each: int, usual: float, order: int = 2, known: float | None = None
 ) -> tuple[float, float, float]:
     """Noise variance and density of most evidence of means of `each` readings; that evidence.
 
     usual: noise variance of a reading before any is known · known: that of a mean.
     """
     # a ratio of 1 per average has a memory of one average
-    ratios = MEMORIES ** (-2 * order) / median_step(series[0]) ** (2 * order - 1)
-    score, noise, lag = evidence(*series, ratios, usual / each, order, known)
+    ratios = MEMORIES ** (-2 * order) / median_step(averages[0]) ** (2 * order - 1)
+    score, noise, lag = evidence(*averages, ratios, usual / each, order, known)
     ratio, variance, nats = _peak(ratios, score, noise)
     if lag[score.argmax()] > GATE:
-        ratio = _followed_by(series, ratio, variance, order)
+        ratio = _followed_by(averages, ratio, variance, order)
     return variance * each, variance * ratio, nats
 
 
-def _followed_by(series: tuple[Array, Array, Array], ratio: float, variance: float, order: int) -> float:
+def _followed_by(averages: Averages, ratio: float, variance: float, order: int) -> float:
     """The ratio, doubled until a filter of a noise variance keeps up with all motion."""
     raised = ratio * 2.0 ** np.arange(24)
-    keeps = evidence(*series, raised, variance, order, variance)[2] <= GATE
+    keeps = evidence(*averages, raised, variance, order, variance)[2] <= GATE
     return float(raised[keeps.argmax() if keeps.any() else -1])
 
 
@@ -187,7 +187,7 @@ def _merged(parts: list[Encoders]) -> Encoders:
     return Encoders(t, values, source, relative)
 
 
-def _averages(t: Array, y: Array) -> tuple[tuple[Array, Array, Array], int]:
+def _averages(t: Array, y: Array) -> tuple[Averages, int]:
     """Means (N,) of times and of readings, where the filter restarts, at and after a mean with a break; how many each.
 
     Readings are averaged as far as a short stretch shows no acceleration.

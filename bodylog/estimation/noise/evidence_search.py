@@ -1,7 +1,8 @@
 """Noise models by evidence: the order of motion by encoders, and variances by the whole filter, images included."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from .encoder_noise import INSTANTS, averaged, floor, followable, per_average
 from .noise_model import NoiseModel
 from .smoother_process import least, side_by_side
 from .visibility import View, views, visual
+
+Measured = TypeVar("Measured", Encoders, Sighting)
 
 ROUGHLY = 1e-2
 """Standard deviations: tolerance on starts for comparing evidence."""
@@ -169,13 +172,11 @@ def middle(problem: Problem) -> Problem:
     low, high = span = _span(seen_at, np.empty(0) if found is None else found.t)
     if span == (-np.inf, np.inf):
         return problem
-    sightings = [_cut_sighting(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings]
+    sightings = [_cut(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings]
     if found is None:
         return _measured(problem, None, sightings)
-    rows, start = (found.t >= low) & (found.t <= high), found.at(np.array([low]))[0]
-    relative = None if found.relative is None else found.relative[rows]
-    encoders = Encoders(found.t[rows], found.values[rows], found.source_ns[rows], relative)
-    return replace(_measured(problem, encoders, sightings), start=np.where(np.isfinite(start), start, problem.start))
+    part, start = _cut(found, (found.t >= low) & (found.t <= high)), found.at(np.array([low]))[0]
+    return replace(_measured(problem, part, sightings), start=np.where(np.isfinite(start), start, problem.start))
 
 
 def _span(seen_at: Array, read_at: Array) -> tuple[float, float]:
@@ -208,7 +209,7 @@ def determined(problem: Problem) -> Problem:
         return problem
     sure, line = np.asarray(~held.any(axis=1)), problem.timeline
     pairs = zip(problem.evidence.sightings, line.sightings, strict=True)
-    sightings = [_cut_sighting(sighting, sure[at]) for sighting, at in pairs]
+    sightings = [_cut(sighting, sure[at]) for sighting, at in pairs]
     return problem if sure.all() else _measured(problem, problem.evidence.encoders, sightings)
 
 
@@ -218,6 +219,8 @@ def _measured(problem: Problem, encoders: Encoders | None, sightings: Sequence[S
     return replace(problem, evidence=evidence, timeline=timeline(evidence, None))
 
 
-def _cut_sighting(sighting: Sighting, rows: Array) -> Sighting:
-    parts = {name: getattr(sighting, name)[rows] for name in ("t", "values", "var", "source_ns")}
-    return replace(sighting, **parts, cov=None if sighting.cov is None else sighting.cov[rows])
+def _cut(record: Measured, rows: Array) -> Measured:
+    """A record of measurements with only some of its rows (N,) bool."""
+    parts: Mapping[str, Any] = {one.name: getattr(record, one.name) for one in fields(record)}
+    kept: Mapping[str, Any] = {name: part[rows] for name, part in parts.items() if isinstance(part, np.ndarray)}
+    return replace(record, **kept)

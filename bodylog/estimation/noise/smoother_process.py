@@ -12,7 +12,6 @@ share of V is that of noise and motion where their sum is least, (1 − 1/2n) p/
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import beta
 
 from ...types import Array
 from ..inference import adjoint
@@ -54,15 +53,7 @@ def move_at_least(power: float, order: int) -> float:
 
     By the smoother's response 1 / (1 + u²ⁿ), u the frequency over the cut-off, which moves by u²ⁿ / (1 + u²ⁿ)².
     """
-    p = min(power, 2.0 * order + 2.0)
-
-    def whole(p: float, k: int) -> float:
-        """Integral of u^(4n − p) / (1 + u²ⁿ)^k, times 2n."""
-        share = 2.0 + (1.0 - p) / (2 * order)
-        return float(beta(share, k - share))
-
-    noise, missed = whole(4.0 * order, 2), whole(p, 2)
-    return 1.0 + noise / ((p - 1.0) * missed) * whole(p, 4) / whole(0.0, 4)
+    return (min(power, 2.0 * order + 2.0) + 4.0 * order) / (2.0 * order + 1.0)
 
 
 def _of_noise(part: Problem) -> float:
