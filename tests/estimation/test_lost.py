@@ -113,7 +113,7 @@ def test_full_reset_separates_what_precedes_and_follows(world, linear_model, sol
         seen = replace(track, t=track.t[frames], values=track.values[frames], std=track.std[frames],
                        source_ns=track.source_ns[frames])  # fmt: skip
         features = replace(drawn.features, joints=part, tracks={"effector": seen})
-        problem, _ = filtering.gathered(features, drawn.body, Estimation(precision="model", bias="off"))
+        problem = filtering.gathered(features, drawn.body, Estimation(precision="model", bias="off"))
         found = solve(replace(problem, resets=resets))
         z, cov = (found.z, found.cov) if solve is smoother.solve else (found.trace.z, found.trace.cov[:, :3, :3])
         return problem.timeline.t, found.fold.unfold(z)[:, :3], found.fold.unfold(cov)

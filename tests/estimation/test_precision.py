@@ -233,7 +233,7 @@ def test_noise_is_tuned_on_readings_beside_images(world, monkeypatch, end):
     drawn = world(0, duration=20.0)
     track = drawn.features.tracks["effector"]
     features = replace(drawn.features, tracks={"effector": _until(track, end)})
-    problem, _ = filtering.gathered(features, drawn.body, Estimation())
+    problem = filtering.gathered(features, drawn.body, Estimation())
     part = evidence_search.middle(problem)
     assert len(part.evidence.encoders.t) <= 200
     frames = part.evidence.sightings[0].t
@@ -245,7 +245,7 @@ def test_noise_is_tuned_on_readings_beside_images(world, monkeypatch, end):
 @pytest.mark.parametrize("rows", [1, 5])
 def test_averages_of_close_readings_carry_their_noise(world, rows):
     drawn = world(0, duration=6.0, encoder_hz=100.0 * rows)
-    problem, _ = filtering.gathered(drawn.features, drawn.body, Estimation())
+    problem = filtering.gathered(drawn.features, drawn.body, Estimation())
     few, all_of = evidence_search.thinned(problem).evidence.encoders, problem.evidence.encoders
     assert len(few.t) == len(all_of.t) // rows
     if rows == 1:
@@ -258,7 +258,7 @@ def test_averages_of_close_readings_carry_their_noise(world, rows):
 def _thinned(world, t, values):
     found = Encoders(t, values, (t * 1e9).astype(np.int64))
     drawn = world(0, duration=1.0)
-    problem, _ = filtering.gathered(drawn.features, drawn.body, Estimation())
+    problem = filtering.gathered(drawn.features, drawn.body, Estimation())
     return evidence_search.thinned(
         replace(problem, evidence=replace(problem.evidence, encoders=found))
     ).evidence.encoders

@@ -89,7 +89,7 @@ def test_smoother_takes_a_joint_that_is_read_seldom_or_late(world, step, every, 
 def test_a_smoothed_log_keeps_nothing_of_the_size_of_its_gains(world, solver):
     """Outliers are judged by a second solution: with the gains of both, ten minutes at 500 Hz took 4.8 GB, not 2.9."""
     drawn = world(0, duration=5.0)
-    problem, _ = filtering.gathered(drawn.features, drawn.body, Estimation(method="smoother"))
+    problem = filtering.gathered(drawn.features, drawn.body, Estimation(method="smoother"))
     trace = solver(problem).trace
     largest = max(part.size for part in vars(trace).values() if isinstance(part, np.ndarray))
     assert trace.p is None

@@ -107,7 +107,7 @@ def textbook(problem, world, order, stationary):
 def test_silence_of_a_linear_body_is_that_of_full_matrices(world, linear_model, order):
     drawn = world(3, duration=7.0, model=linear_model)
     features = muted(drawn.features, 3.0, 4.0)
-    problem, _ = filtering.gathered(features, drawn.body, Estimation(precision="model", bias="off"))
+    problem = filtering.gathered(features, drawn.body, Estimation(precision="model", bias="off"))
     precision = replace(problem.precision, order=order, near={})
     problem = replace(problem, precision=precision)
     problem = replace(problem, stationary=Stationary(problem.start, np.square(

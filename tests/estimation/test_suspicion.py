@@ -25,7 +25,7 @@ def lying(drawn, size, joint="pan", since=8.0):
 
 
 def solved(features, body, **settings):
-    problem, _ = filtering.gathered(features, body, Estimation(**settings))
+    problem = filtering.gathered(features, body, Estimation(**settings))
     problem, warm = filtering.tuned(problem, Estimation(**settings))
     return problem, solve(problem, warm)
 

@@ -52,7 +52,7 @@ def test_settings_say_how_the_arm_moves_out_of_view(world, white_acceleration):
 @pytest.mark.parametrize("seed", range(2))
 def test_walk_by_single_instants_equals_the_sweeps(world, seed):
     drawn = world(seed, hidden=(8.0, 11.0))
-    problem, _ = filtering.gathered(drawn.features, drawn.body, Estimation())
+    problem = filtering.gathered(drawn.features, drawn.body, Estimation())
     problem, _ = filtering.tuned(problem, Estimation())
     precision = replace(problem.precision, fewer={(): problem.precision.process * np.array([1.0, 9.0, 4.0])})
     problem = replace(problem, precision=precision)

@@ -139,17 +139,16 @@ def _significant(offset: Array, var: Array, least: Array | float) -> Array:
     return np.asarray(np.abs(offset) > np.maximum(least, SIGMAS * np.sqrt(var)))
 
 
-def faults(
-    problem: Problem, names: tuple[str, ...], offset: Array, var: Array, known: tuple[Fault, ...]
-) -> tuple[Fault, ...]:
+def faults(problem: Problem, offset: Array, var: Array) -> tuple[Fault, ...]:
     """Return drifting encoders, since when and how far, from offsets and their variances (N,M).
 
     Where another joint's offset explains nearly as much, both are named and the size is NaN.
     """
-    t, walks = problem.timeline.t, _walks(problem)
+    t, walks, names = problem.timeline.t, _walks(problem), problem.evidence.joints
     found, certain = [], _significant(offset, var, smallest_fault(problem.evidence.encoders))
     stepped = [(joint, *others) for joint, others in problem.alternatives.items() if not walks[joint]]
-    faulty = {*(fault.name for fault in known), *(names[j] for joints in stepped for j in joints)}
+    known = (fault.name for fault in problem.evidence.faults if fault.sense == "encoders")
+    faulty = {*known, *(names[j] for joints in stepped for j in joints)}
     for joint, name in enumerate(names):
         if name in faulty:
             continue

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...types import Array
+from ..measurements.records import interpolated
 from .filter_records import Dynamics
 from .folds import Fold
 from .reacquisition import START_STD
@@ -61,8 +62,5 @@ def initial_tangents(problem: "Problem", fold: Fold) -> tuple[Tangents, Array, A
 def _between(path: tuple[Array, Array] | None, start: Array, at: Array) -> Array:
     """Angles (N,M) at the times `at`, interpolated on the path (t, angles); the start angles where it is unknown."""
     x = np.repeat(start[None], len(at), axis=0)
-    for j, column in enumerate(path[1].T if path else ()):
-        known = np.isfinite(column)
-        if path and known.any():
-            x[:, j] = np.interp(at, path[0][known], column[known])
-    return x
+    known = x if path is None else interpolated(*path, at)
+    return np.where(np.isfinite(known), known, x)

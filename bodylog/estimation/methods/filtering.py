@@ -37,7 +37,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     `laplace` linearises frames at the belief until it rests; `ekf` does so once, at the prior mean.
     """
     at = "prior" if settings.method == "ekf" else "posterior"
-    start_problem, faults = gathered(features, body, settings)
+    start_problem = gathered(features, body, settings)
 
     def solved(problem: Problem) -> tuple[Problem, Solution]:
         problem, warm = tuned(problem, settings)
@@ -52,15 +52,14 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         shown(unfold(trace.z), problem), precision.of(unfold(trace.cov[:, :m, :m]), problem.held), unfold(trace.nats),
         unfold(trace.prior),
         unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
-        drifts(problem, body.joints, solution, faults), tuple(lost(problem, body.joints, solution)),
+        drifts(problem, solution), tuple(lost(problem, body.joints, solution)),
     )  # fmt: skip
     return results.estimate(settings.method, body, problem.evidence, problem.timeline, beliefs)
 
 
-def gathered(features: Features, body: BodyModel, settings: Estimation) -> tuple[Problem, tuple[Fault, ...]]:
-    """The problem with the encoders' noise model, and the faulty encoders."""
+def gathered(features: Features, body: BodyModel, settings: Estimation) -> Problem:
+    """The problem with the encoders' noise model."""
     evidence = warned(screened(features, body, settings), body, settings)
-    faults = tuple(fault for fault in evidence.faults if fault.sense == "encoders")
     evidence = replace(evidence, sightings=typed.sightings(evidence.sightings, settings))
     first = start(evidence, settings, body.joints)
     precision = typed.precision(resolve(evidence, body, settings), settings, body.joints)
@@ -68,12 +67,12 @@ def gathered(features: Features, body: BodyModel, settings: Estimation) -> tuple
     evidence = weighed(evidence, precision, settings)
     usual = learn_prior(evidence, precision.process, first)
     problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, posture_prior=usual)
-    allowed = encoder_offset.preset_walks(settings.bias, body.joints, faults)
+    allowed = encoder_offset.preset_walks(settings.bias, body.joints, evidence.faults)
     problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
     if settings.process is None:  # it is a white acceleration
         problem = with_preferred_order(problem)
         problem = replace(problem, precision=typed.precision(problem.precision, settings, body.joints))
-    return find_initial_path(problem), faults
+    return find_initial_path(problem)
 
 
 def kept(problem: Problem, solved: Callable[[Problem], tuple[Problem, S]]) -> tuple[Problem, S]:
@@ -155,11 +154,11 @@ def lost(problem: Problem, names: tuple[str, ...], solved: Solution) -> Iterator
     return iter(()) if resets is None else named(names, problem.timeline.t, solved.fold.unfold(resets))
 
 
-def drifts(problem: Problem, names: tuple[str, ...], solved: Solution, known: tuple[Fault, ...]) -> tuple[Fault, ...]:
+def drifts(problem: Problem, solved: Solution) -> tuple[Fault, ...]:
     """Encoder offsets as faults, from the filtered offsets, without encoders known to be faulty."""
     if problem.precision.drift is None:
         return ()
-    m, unfold = len(names), solved.fold.unfold
+    m, unfold = len(problem.start), solved.fold.unfold
     var = unfold(np.einsum("liic->lic", solved.trace.cov[:, m:, m:]))
     offsets = unfold(solved.trace.z[:, problem.dynamics.offset :])
-    return encoder_offset.faults(problem, names, offsets, var, known)
+    return encoder_offset.faults(problem, offsets, var)

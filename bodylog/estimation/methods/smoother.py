@@ -34,7 +34,7 @@ drawn logs are then within 1e-4 standard deviations of the fixed point."""
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Smoothed belief at each output time, given the whole log."""
-    start_problem, faults = gathered(features, body, settings)
+    start_problem = gathered(features, body, settings)
 
     def solved(problem: Problem) -> tuple[Problem, Judged]:
         problem, warm = tuned(problem, settings)
@@ -50,7 +50,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     errors[problem.timeline.encoders] = found.encoders
     beliefs = Beliefs(
         shown(z, problem), cov, free_energy(problem, smooth, found), z[:, :m], cov, errors,
-        precision.scale, precision.plain(), drifts(problem, body.joints, smooth, faults),
+        precision.scale, precision.plain(), drifts(problem, smooth),
         tuple(lost(problem, body.joints, smooth)), found.places,
     )  # fmt: skip
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
