@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
+from bodylog.estimation.inference.silence import smoothed
 from bodylog.estimation.methods import filtering, smoother
 from bodylog.evaluation.scores import scores
 from bodylog.settings import Estimation
@@ -85,7 +86,7 @@ def test_smoother_takes_a_joint_that_is_read_seldom_or_late(world, step, every, 
         assert (np.einsum("nii->ni", found.cov) > 0.0).all()
 
 
-@pytest.mark.parametrize("solver", [smoother.solve, smoother.once])
+@pytest.mark.parametrize("solver", [smoother.solve, smoothed])
 def test_a_smoothed_log_keeps_nothing_of_the_size_of_its_gains(world, solver):
     """Outliers are judged by a second solution: with the gains of both, ten minutes at 500 Hz took 4.8 GB, not 2.9."""
     drawn = world(0, duration=5.0)

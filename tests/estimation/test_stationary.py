@@ -9,6 +9,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from bodylog.errors import UsageError
 from bodylog.estimation.inference import gauss_newton, reacquisition
 from bodylog.estimation.inference.motion import carry, grow
+from bodylog.estimation.inference.silence import smoothed
 from bodylog.estimation.inference.stationary import Stationary
 from bodylog.estimation.inference.walk import walk
 from bodylog.estimation.live.estimator import Estimator
@@ -117,7 +118,7 @@ def test_silence_of_a_linear_body_is_that_of_full_matrices(world, linear_model, 
     for found in (walk(problem), gauss_newton.solve(problem)):
         np.testing.assert_allclose(found.fold.unfold(found.trace.z), z, atol=1e-7)
         np.testing.assert_allclose(found.fold.unfold(found.trace.cov), p[:, :3, :3], atol=1e-7)
-    for found in (smoother.once(problem), smoother.solve(problem)):
+    for found in (smoothed(problem), smoother.solve(problem)):
         np.testing.assert_allclose(found.fold.unfold(found.z), smooth, atol=1e-6)
         np.testing.assert_allclose(found.fold.unfold(found.cov), cov[:, :3, :3], atol=1e-6)
 

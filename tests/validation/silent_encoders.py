@@ -9,8 +9,9 @@ from tests.estimation.conftest import Explored, draw
 from tests.estimation.test_lost import muted
 from tests.validation import error_bars, figures, logs
 
-SINCE, COUNT = 6.0, 40
-"""s: when encoders fall silent; logs a row: NEES of ten differ by a half from those of ten others."""
+SINCE, WITHIN, COUNT = 6.0, 2.0, 40
+"""s: when encoders fall silent at the earliest, and how much later at most, as a reach lasts; logs a row: NEES of ten
+differ by a half from those of ten others."""
 SILENCES = {"sines": (1.0, 2.0, 5.0, 10.0), "reaches": (2.0, 5.0), "babble": (2.0, 5.0)}
 
 
@@ -23,12 +24,12 @@ def table():
 
 def rows(name, silence):
     """Of one motion and length."""
-    pairs = [KINDS[name](seed, silence) for seed in range(COUNT)]
+    begins = SINCE + np.random.default_rng(0).uniform(0.0, WITHIN, COUNT)
+    pairs = [silenced(*KINDS[name](seed, silence), begin, silence) for seed, begin in enumerate(begins)]
     for method in error_bars.METHODS:
-        runs = [figures.found(logs.ObservedLog(muted(log.features, SINCE, SINCE + silence, log.features.joints.names),
-                log.truth), body, method, rate=25.0) for log, body in pairs]  # fmt: skip
-        inside = [run.within(SINCE + 1e-6, SINCE + silence) for run in runs]
-        after = [run.within(SINCE + silence) for run in runs]
+        runs = [figures.found(log, body, method, rate=25.0) for log, body in pairs]
+        inside = [run.within(begin + 1e-6, begin + silence) for run, begin in zip(runs, begins, strict=True)]
+        after = [run.within(begin + silence) for run, begin in zip(runs, begins, strict=True)]
         cover = 100.0 * np.mean([run.coverage for run in inside])
         cells = (
             f"{figures.rms([run.rmse for run in inside]):.2g}; {figures.mean_nees(inside)}; {cover:.0f} %",
@@ -39,9 +40,15 @@ def rows(name, silence):
         yield (f"{name}, {silence:g} s ({COUNT})", f"`{method}`", *cells)
 
 
+def silenced(log, body, begin, silence):
+    """The log without encoders for `silence` s, and the body."""
+    features = muted(log.features, begin, begin + silence, log.features.joints.names)
+    return logs.ObservedLog(features, log.truth), body
+
+
 def sines(seed, silence):
     """Sines, the model known, and where it was explored."""
-    world = draw(seed, duration=SINCE + silence + 4.0, model=Explored())
+    world = draw(seed, duration=SINCE + WITHIN + silence + 4.0, model=Explored())
     return logs.of(world), world.body
 
 
@@ -52,7 +59,7 @@ def simulated(scenario):
         return replace(SCENARIOS[scenario].plan(request), covered=None)
 
     def made(seed, silence):
-        return logs.drawn(scenario, 1000 + seed, SINCE + silence + 4.0, plan=in_view), logs.learned(seed)
+        return logs.drawn(scenario, 1000 + seed, SINCE + WITHIN + silence + 4.0, plan=in_view), logs.learned(seed)
 
     return made
 

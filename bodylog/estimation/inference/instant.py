@@ -86,28 +86,35 @@ def _accelerated(move: Array, last: Array, went: Array) -> Array:
 def statistical_lines(m: int, given: Array, sights: Sequence[PendingFrame]) -> tuple[Array, list[Line]]:
     """The mean (M,) of the encoders' posterior `given`, and lines of least squared residual over it.
 
-    The residual is added as noise: the tangent of a wide belief claims too much. It is a function of the belief's
-    error, which lasts: with a Gaussian correlation over √(variance of the angle / of the rate), it counts √π of that,
-    over the time between frames, as often; PERSISTENCE times more, as a wrong belief takes itself for a short one.
+    The residual is a function of the belief's error, which lasts: with a Gaussian correlation over √(variance of the
+    angle / of the rate), it counts √π of that, over the time between frames, as often; PERSISTENCE times more, as a
+    wrong belief takes itself for a short one.
     """
-    x, (var, axes) = given[:m, -1], np.linalg.eigh(given[:m, :m])
-    rates, var = given[m : 2 * m, m : 2 * m], np.maximum(var, np.finfo(float).tiny)
+    x, (var, axes), rates = given[:m, -1], _spread(given[:m, :m]), given[m : 2 * m, m : 2 * m]
     if not np.trace(rates) > 0.0:
         raise np.linalg.LinAlgError(f"rates have the variance {np.trace(rates):.3g} rad²/s²")
     # above rounding, which a rate known exactly may take below 0
     rate = max(axes[:, -1] @ rates @ axes[:, -1], np.finfo(float).eps * np.trace(rates))
-    lasts, steps = PERSISTENCE * math.sqrt(math.pi * var[-1] / rate), np.sqrt(var)[:, None] * axes.T
+    lasts = PERSISTENCE * math.sqrt(math.pi * var[-1] / rate)
     often = [1.0 / math.tanh((sight.t - sight.memory.t) / lasts) for sight in sights]
-    return x, [_line_of_belief(sight, x, steps, one) for sight, one in zip(sights, often, strict=True)]
+    return x, [line_over(sight, x, given[:m, :m], one) for sight, one in zip(sights, often, strict=True)]
 
 
-def _line_of_belief(sight: PendingFrame, x: Array, steps: Array, often: float) -> Line:
-    """A track's line over a belief x (M,) with one standard deviation along each axis in `steps` (M,M).
+def _spread(cov: Array) -> tuple[Array, Array]:
+    """Variances (M,) along the axes (M,M), in columns, of a covariance; above 0."""
+    var, axes = np.linalg.eigh(cov)
+    return np.maximum(var, np.finfo(float).tiny), axes
 
-    The residual along each axis, by Gauss–Hermite quadrature, counts as `often`. Rows are rotated such that their noise
-    is independent.
+
+def line_over(sight: PendingFrame, x: Array, cov: Array, often: float = 1.0) -> Line:
+    """A track's line over a belief x (M,) of cov (M,M).
+
+    The residual is added as noise, as the tangent of a wide belief claims too much: along each axis of cov, by
+    Gauss–Hermite quadrature, counted as `often`. Rows are rotated such that their noise is independent.
     """
     *_, own, memory = sight.at(x)
+    var, axes = _spread(cov)
+    steps = np.sqrt(var)[:, None] * axes.T
     points = x + NODES[:, None, None] * steps
     g = sight.predict(points.reshape(-1, len(x)))[0].reshape(len(NODES), len(x), -1)
     means, slopes = (np.einsum("k,kad->ad", weights, g) for weights in (WEIGHTS, WEIGHTS * NODES))

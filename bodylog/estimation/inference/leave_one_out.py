@@ -121,14 +121,14 @@ def outliers(found: LeftOut) -> tuple[Array, ...]:
 
 
 def without(problem: Problem, removed: tuple[Array, ...]) -> Problem:
-    """The problem without the readings that are removed, and without a gate for the others."""
+    """The problem without the readings that are removed: encoders' (N,M) bool, then frames (F,) of each sighting."""
     evidence, (encoders, *frames) = problem.evidence, removed
     sightings = tuple(
         replace(one, values=np.where(far[:, None], np.nan, one.values))
         for one, far in zip(evidence.sightings, frames, strict=True)
     )
     rows = evidence.encoders and replace(evidence.encoders, values=np.where(encoders, np.nan, evidence.encoders.values))
-    return replace(problem, evidence=replace(evidence, encoders=rows, sightings=sightings), gate=np.inf)
+    return replace(problem, evidence=replace(evidence, encoders=rows, sightings=sightings))
 
 
 def free_energy(problem: Problem, smooth: Smooth, found: LeftOut) -> Array:

@@ -101,13 +101,13 @@ def walk(problem: Problem, share: float = PAST) -> Solution:
     tangents.share, readings = share, folded_readings(replace(problem, resets=found.resets), fold, found.held)
     tangents.draw(problem, fold, readings)
     for at, state in found.adrift.items():
-        _write(np.array([at]), state.lines or {}, fold, readings)
+        write(np.array([at]), state.lines or {}, fold, readings)
     trace = scan(readings, problem.dynamics, found.z, found.p, keep)
     fold.put(trace.nats, np.array([*found.adrift], int), np.array([state.nats for state in found.adrift.values()]))
     return Solution(fold, readings, tangents, trace)
 
 
-def _write(at: Array, lines: Mapping[int, Line], fold: Fold, readings: Readings) -> None:
+def write(at: Array, lines: Mapping[int, Line], fold: Fold, readings: Readings) -> None:
     """Write the lines of tracks at one instant (1,) into the readings."""
     for track, line in lines.items():
         for folded, row in ((readings.y, line.y), (readings.jac, line.jac), (readings.var, line.var)):
@@ -159,7 +159,7 @@ def _states(problem: Problem, share: float, rest: float, events: int) -> Iterato
     """The states after the first `events` instants."""
     steps, more = SequentialFilter(problem.dynamics, problem.posture_prior, rest), problem.more
     readings, var = (part.tolist() for part in encoder_rows(replace(problem, posture_prior=None), events))
-    state, sights = steps.first(problem.start), _sights(problem, share, events)
+    state, sights = steps.first(problem.start), frames_by_instant(problem, share, events)
     for k, t in enumerate(problem.timeline.t[:events].tolist()):
         try:
             state = steps.step(state, t, readings[k], var[k], sights.get(k, {}), None if more is None else more[k])
@@ -168,7 +168,7 @@ def _states(problem: Problem, share: float, rest: float, events: int) -> Iterato
         yield state
 
 
-def _sights(problem: Problem, share: float, before: int) -> dict[int, dict[int, PendingFrame]]:
+def frames_by_instant(problem: Problem, share: float, before: int) -> dict[int, dict[int, PendingFrame]]:
     """Frames by instant, and by track, of the first `before` instants."""
     found: dict[int, dict[int, PendingFrame]] = {}
     precision, line = problem.precision, problem.timeline

@@ -4,6 +4,8 @@ Linearising all frames at the smoothed angles until convergence gives the maximu
 has the Bryson–Frazier form, which needs the filter's gains but no inverse.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...body_model import BodyModel
@@ -19,9 +21,9 @@ from ..inference.initial_path import handed_over
 from ..inference.leave_one_out import Judged, free_energy, left_out, outliers, without
 from ..inference.problem import Problem
 from ..inference.scan import Keep, Trace, scan
+from ..inference.silence import completed, smoothed
 from ..inference.solution import Smooth, Solution
 from ..inference.tangents import Tangents
-from ..inference.walk import walk
 from ..noise.correlated_noise import WHOLE
 from . import results
 from .filtering import drifts, gathered, kept, lost, settled, shown, tuned
@@ -38,8 +40,8 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
 
     def solved(problem: Problem) -> tuple[Problem, Judged]:
         problem, warm = tuned(problem, settings)
-        solver = (lambda posed, _: once(posed)) if problem.stepwise else solve
-        problem, smooth = settled(problem, warm, settings, solver, once)
+        solver = (lambda posed, _: smoothed(posed)) if problem.stepwise else solve
+        problem, smooth = settled(problem, warm, settings, solver, smoothed)
         return problem, judged(problem, smooth)
 
     problem, smooth = kept(start_problem, solved)
@@ -69,7 +71,7 @@ def judged(problem: Problem, smooth: Smooth) -> Judged:
     path: Smooth = smooth
     for _ in range(SWEEPS):
         try:
-            path = solve(without(problem, removed), path)
+            path = solve(replace(without(problem, removed), gate=np.inf), path)
         except DidNotConverge:
             break
         found, before = left_out(problem, path), removed
@@ -90,7 +92,7 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     for sweep in range(SWEEPS):
         moved = tangents.draw(problem, fold, readings)
         if trace is not None and rest < LASTING and not moved:
-            return _complete(fold, readings, tangents, trace, ends, dynamics)
+            return completed(fold, readings, tangents, trace, ends, dynamics)
         trace = scan(readings, dynamics, z, p, Keep.MEANS, into=trace)
         next_z, next_p = handed_over(z, p, trace.z[-1], trace.end_p)
         z, p, move, path, rest = next_z, next_p, sure(far(z, p, next_z, next_p)), trace.z, np.inf
@@ -102,21 +104,6 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
             rest = max(move, _pulled(ends - expected, p))
         tangents.follow(problem, fold, path)
     raise DidNotConverge(f"smoother: no rest after {SWEEPS} sweeps, last move {rest:.2g}")
-
-
-def once(problem: Problem) -> Smooth:
-    """Smooth once along the filter's own tangents, as a fallback without convergence."""
-    solution, dynamics = walk(problem, WHOLE), problem.dynamics
-    ends = np.zeros((dynamics.size, 1))
-    return _complete(solution.fold, solution.readings, solution.tangents, solution.trace, ends, dynamics)
-
-
-def _complete(
-    fold: Fold, readings: Readings, tangents: Tangents, trace: Trace, ends: Array, dynamics: Dynamics
-) -> Smooth:
-    """The smoothed log, with covariances, of a forward pass and the adjoints (K,C) at stretches' ends."""
-    x, cov = adjoint.completed(readings, trace, ends, dynamics)
-    return Smooth(fold, readings, tangents, trace.without_gains(), x, cov)
 
 
 def _pulled(adjoint_moved: Array, p: Array) -> float:
