@@ -31,7 +31,11 @@ NEARLY = 0.01
 
 
 def smoothed(problem: Problem) -> Smooth:
-    """Smooth along the filter's own tangents, and open frames along lines over the smoothed belief."""
+    """Smooth along the filter's own tangents, and open frames along lines over the smoothed belief.
+
+    Residuals of lines last, so in the last pass they count as often as there are frames. Counted so before, images
+    weigh too little to leave a wrong posture.
+    """
     hidden, m, before = _open(problem), len(problem.start), np.array(np.inf)
     solution = walk(without(problem, (np.array(False), *hidden)), WHOLE)
     solution, frames = _across_silences(problem, solution), _frames(problem, hidden)
@@ -43,7 +47,10 @@ def smoothed(problem: Problem) -> Smooth:
             break
         _draw(solution, frames, x, cov)
         before = x
-    return path
+    if not frames:
+        return path
+    _draw(solution, frames, x, cov, float(len(frames)))
+    return _passed(problem, solution)
 
 
 def _open(problem: Problem) -> tuple[Array, ...]:
@@ -69,12 +76,14 @@ def _frames(problem: Problem, hidden: Sequence[Array]) -> dict[int, dict[int, Pe
     return {k: every[k] for k in sorted(at & every.keys())}
 
 
-def _draw(solution: Solution, frames: Mapping[int, Mapping[int, PendingFrame]], x: Array, cov: Array) -> None:
+def _draw(
+    solution: Solution, frames: Mapping[int, Mapping[int, PendingFrame]], x: Array, cov: Array, often: float = 1.0
+) -> None:
     """Write lines of frames at F instants over beliefs x (F,M) of cov (F,M,M) into a solution's readings."""
     last = dict[int, LastFrame]()
     for (k, sights), mean, spread in zip(frames.items(), x, cov, strict=True):
         sights = {track: replace(sight, memory=last.get(track, sight.memory)) for track, sight in sights.items()}
-        lines = {track: line_over(sight, mean, spread) for track, sight in sights.items()}
+        lines = {track: line_over(sight, mean, spread, often) for track, sight in sights.items()}
         last |= {track: line.memory for track, line in lines.items()}
         write(np.array([k]), lines, solution.fold, solution.readings)
 

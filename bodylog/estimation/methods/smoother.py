@@ -13,17 +13,15 @@ from ...settings import Estimation
 from ...types import Array, Estimate, Features
 from ..inference import adjoint
 from ..inference.convergence import SWEEPS, DidNotConverge, sure
-from ..inference.filter_records import Dynamics, Readings
 from ..inference.folded_readings import folded_readings
-from ..inference.folds import Fold, fold_for
+from ..inference.folds import fold_for
 from ..inference.gauss_newton import far, initial_sweep
 from ..inference.initial_path import handed_over
 from ..inference.leave_one_out import Judged, free_energy, left_out, outliers, without
 from ..inference.problem import Problem
-from ..inference.scan import Keep, Trace, scan
+from ..inference.scan import Keep, scan
 from ..inference.silence import completed, smoothed
 from ..inference.solution import Smooth, Solution
-from ..inference.tangents import Tangents
 from ..noise.correlated_noise import WHOLE
 from . import results
 from .filtering import drifts, gathered, kept, lost, settled, shown, tuned
