@@ -94,11 +94,11 @@ def test_error_bars_hold_while_no_encoder_speaks(world, method, most, least):
     assert np.sqrt(np.mean(rmse**2)) < most and 0.4 < np.median(nees) < 1.6 and np.mean(within) > least
 
 
-def test_smoother_bridges_a_silence_in_which_the_filter_is_lost(world):
-    """The filter takes another posture, and is reset by the encoders; a smoother knows the readings on both sides."""
+def test_smoother_bridges_a_silence_in_which_the_filter_takes_another_posture(world):
+    """A smoother knows the readings on both sides."""
     drawn = world(21, duration=12.0, model=Explored())
     features = muted(drawn.features, 6.0, 8.0)
-    assert judged(features, drawn, 6.0, rate=25.0)[3]
+    assert judged(features, drawn, 6.0, rate=25.0)[0] > 0.1
     rmse, nees, _, lost = judged(features, drawn, 6.0, method="smoother", rate=25.0)
     assert rmse < 0.01 and nees < 2.5 and not lost
 
