@@ -14,6 +14,9 @@ from .kernel import fields, run
 from .motion import EVEN
 from .scan import BLOCK, Keep, Trace, scan
 
+FIRST = 2
+"""Blocks of a stretch that mostly determine adjoints and information before it to rounding."""
+
 
 class _Adjoint(ctypes.Structure):
     _fields_ = fields(
@@ -37,7 +40,7 @@ def at_start(readings: Readings, trace: Trace, dynamics: Dynamics) -> Array:
     """Adjoints (K,C) before the first instant, by the first blocks: what comes after them rarely matters."""
     assert trace.p is not None
     length, o, _, c = trace.p.shape
-    x = np.empty((min(4 * BLOCK, length), o, c))
+    x = np.empty((min(FIRST * BLOCK, length), o, c))
     return _back(readings, trace, np.zeros((trace.z.shape[1], 1, c)), dynamics, smooth=x)[:, 0]
 
 
@@ -62,7 +65,7 @@ def _starts(readings: Readings, trace: Trace, dynamics: Dynamics) -> Array:
     The information Λ of everything after a stretch becomes W + Ψ Λ Ψᵀ at its start, where Ψ maps adjoints at the end
     back to it. The smoothed covariance is P − P Λ P.
     """
-    (k, c), blocks, count = trace.z.shape[1:], _blocks(trace), 1
+    (k, c), blocks, count = trace.z.shape[1:], _blocks(trace), FIRST
     while True:
         found = np.zeros((k, 2 * k, c))
         np.einsum("kkc->kc", found[:, k:])[:] = 1.0

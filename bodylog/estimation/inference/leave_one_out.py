@@ -82,7 +82,7 @@ def _frames(
     mean, jac, var = mixed(mix, plain)
     std = np.sqrt(pick(smooth.readings.var, at)[:, index, : values.shape[1]] + var * removed[:, None])
     residual, h = (values - mean) / std, jac / std[..., None]  # their R is 1
-    far = ~removed & _gated(smooth, at, residual - np.einsum("fdm,fm->fd", h, pick(smooth.trace.prior, at) - x), h)
+    far = ~removed & _gated(smooth, at, index)
     a, axes = np.linalg.eigh(projected(h, cov[at, :m, :m]))
     along, used = np.einsum("fde,fd->fe", axes, residual), ~(removed | far)[:, None]
     left = np.where(used, np.maximum(1.0 - a, LEAST), 1.0)
@@ -95,11 +95,12 @@ def _frames(
     return (place, (back * spread[:, None]) @ back.swapaxes(1, 2), plain[2]), square, nats, far
 
 
-def _gated(smooth: Smooth, at: Array, innovation: Array, h: Array) -> Array:
-    """Which innovations (F,D), of noise 1 and Jacobians h (F,D,M), the forward pass rejected."""
-    s = projected(h, smooth.fold.pick(smooth.trace.prior_cov, at)) + np.eye(h.shape[1])
-    squares = np.einsum("fd,fd->f", innovation, np.linalg.solve(s, innovation[..., None])[..., 0])
-    return np.asarray(squares > smooth.readings.gate**2)
+def _gated(smooth: Smooth, at: Array, index: int) -> Array:
+    """Which frames (F,) of a sighting the forward pass rejected: their information is less than by their variance."""
+    var, information, pick = smooth.readings.var, smooth.trace.information, smooth.fold.pick
+    assert information is not None
+    first = information.shape[1] + (index - var.shape[1]) * var.shape[2]
+    return np.asarray(pick(information[:, first], at) * pick(var[:, index, 0], at) < 1.0 - 1e-12)
 
 
 def projected(jac: Array, cov: Array) -> Array:

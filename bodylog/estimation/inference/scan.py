@@ -15,7 +15,7 @@ from .gate import FLAT, GATE
 from .kernel import fields, run
 from .reacquisition import START_STD
 
-BLOCK = 256
+BLOCK = 512
 """Instants of which covariances and gains are kept at a time, so that they stay in the cache."""
 
 
@@ -60,7 +60,7 @@ class Trace:
 
     def without_gains(self) -> "Trace":
         """The trace without what only the backward pass needs, most of its memory."""
-        return replace(self, p=None, information=None, back=None, marks=None)
+        return replace(self, p=None, back=None, marks=None)
 
 
 def scan(
