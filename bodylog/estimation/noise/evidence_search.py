@@ -120,11 +120,14 @@ def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
     density = precision.encoder * median_step(encoders.t)
     var = solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))[part.timeline.sampled]
     together = np.sqrt(var).mean(axis=0)
-    unknown = np.minimum(together**2 / steady_variance(density, precision.process, precision.order), 1.0)
+    unknown, white = (
+        np.minimum(together**2 / steady_variance(density, process, precision.order), 1.0)
+        for process in (precision.process, part.precision.process)
+    )
     taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
     # a silent encoder has no share
     share = np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0)
-    return part.precision.held(share * alone + (1.0 - share) * part.precision.process, encoders)
+    return part.precision.held(share * alone + (1.0 - share) * part.precision.process, encoders, white)
 
 
 def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:

@@ -53,14 +53,14 @@ class NoiseModel:
         likeliest = {} if self.likeliest is None else {"likeliest": self.likeliest.tolist()}
         return {**plain, **likeliest, **moments, **({"process_in_view": fewer} if fewer else {})}
 
-    def held(self, evident: Array, encoders: Encoders) -> "NoiseModel":
+    def held(self, evident: Array, encoders: Encoders, white: Array | float = 1.0) -> "NoiseModel":
         """With processes (M,) by evidence, but at least those that bound a filter's memory by MEMORY.
 
         Under white noise in derivative p, 1/2p of a steady variance is motion, which is stated only as far as there is
-        any.
+        any. `white`: share of the variance from encoders, whose errors are independent.
         """
         process = np.maximum(evident, encoder_noise.floor(encoders.t, self.encoder, self.order))
-        stated = 1.0 - (1.0 - np.minimum(evident / process, 1.0)) / (2 * self.order)
+        stated = 1.0 - white / (2 * self.order) * (1.0 - np.minimum(evident / process, 1.0))
         return replace(self, process=process, stated=stated, evident=evident)
 
     def of(self, cov: Array, held: Array | None = None) -> Array:
