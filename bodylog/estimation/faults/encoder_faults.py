@@ -41,8 +41,8 @@ def detect(evidence: Evidence, body: BodyModel) -> Evidence:
         Finding("info", f"encoders: {name} wraps by a whole turn at {encoders.t[own][0]:.3f} s; its angle is unwrapped")
         for name, own in zip(body.joints, turned.T, strict=True) if own.any()
     ]  # fmt: skip
-    heard = angles and np.isfinite(encoders.values).any(axis=0).all()
-    images = [s for s in evidence.sightings if s.name != "touch"] if heard else []
+    complete = angles and np.isfinite(encoders.values).any(axis=0).all()
+    images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
     found = {
         name: _screened(encoders.t, y, partial(motion_nats, encoders, images, joint))
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))

@@ -11,12 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array, Fault
-from ..inference.convergence import DidNotConverge
+from ..inference.convergence import ROUGHLY, DidNotConverge
 from ..inference.gauss_newton import solve
 from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import Problem
 from ..inference.solution import Solution
-from ..noise.evidence_search import ROUGHLY
 from .repeats import SILENT
 from .threshold import FAR
 

@@ -6,6 +6,8 @@ SWEEPS = 25
 """Most sweeps: both methods converge within 13 on 15 simulated and recorded logs."""
 SETTLED = 1e-8
 """Standard deviations: a stretch's start that moves less has converged."""
+ROUGHLY = 1e-2
+"""Standard deviations: the same for comparing evidence, and for a path through silences."""
 RESTING = 0.1
 """rad per standard deviation of that: a frame whose linearisation point moves less keeps its tangent."""
 

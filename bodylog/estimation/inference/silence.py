@@ -2,7 +2,7 @@
 
 Frames that leave silent joints open are linearised over the smoothed belief. Over a filter's, which is wide at the end
 of a silence, lines are coarse and may lead to another posture. The smoother begins with the readings on both sides of a
-silence, without its frames; then lines and path follow from each other until the path rests (iterated posterior
+silence, without its frames; then lines and path follow from each other until the path converges (iterated posterior
 linearisation: García-Fernández, Svensson & Särkkä 2017).
 """
 
@@ -13,21 +13,14 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import WHOLE, LastFrame, PendingFrame
-from . import adjoint
-from .convergence import SWEEPS
-from .filter_records import Dynamics, Readings
-from .folds import Fold
+from .convergence import ROUGHLY, SWEEPS
 from .initial_path import priors
 from .instant import line_over
 from .leave_one_out import without
 from .problem import Problem
-from .scan import Keep, Trace, scan
-from .solution import Smooth, Solution
-from .tangents import Tangents
+from .scan import Keep, scan
+from .solution import Smooth, Solution, completed
 from .walk import frames_by_instant, walk, write
-
-NEARLY = 0.01
-"""Standard deviations: a path whose angles at the open frames move less rests."""
 
 
 def smoothed(problem: Problem) -> Smooth:
@@ -43,7 +36,7 @@ def smoothed(problem: Problem) -> Smooth:
     for _ in range(SWEEPS):
         path = _passed(problem, solution)
         x, cov = path.z[at, :m, 0], path.cov[at, :m, :m, 0]
-        if (np.abs(x - before) < NEARLY * np.sqrt(np.einsum("eii->ei", cov))).all():
+        if (np.abs(x - before) < ROUGHLY * np.sqrt(np.einsum("eii->ei", cov))).all():
             break
         _draw(solution, frames, x, cov)
         before = x
@@ -93,11 +86,3 @@ def _passed(problem: Problem, solution: Solution) -> Smooth:
     trace = scan(solution.readings, problem.dynamics, *priors(problem, solution.fold), Keep.MEANS)
     ends = np.zeros((problem.dynamics.size, 1))
     return completed(solution.fold, solution.readings, solution.tangents, trace, ends, problem.dynamics)
-
-
-def completed(
-    fold: Fold, readings: Readings, tangents: Tangents, trace: Trace, ends: Array, dynamics: Dynamics
-) -> Smooth:
-    """The smoothed log, with covariances, of a forward pass and the adjoints (K,C) at stretches' ends."""
-    x, cov = adjoint.completed(readings, trace, ends, dynamics)
-    return Smooth(fold, readings, tangents, trace.without_gains(), x, cov)

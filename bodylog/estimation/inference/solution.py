@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from ...types import Array
-from .filter_records import Readings
+from . import adjoint
+from .filter_records import Dynamics, Readings
 from .folds import Fold
 from .scan import Trace
 from .tangents import Tangents
@@ -28,3 +29,11 @@ class Smooth(Solution):
 
     z: Array
     cov: Array
+
+
+def completed(
+    fold: Fold, readings: Readings, tangents: Tangents, trace: Trace, ends: Array, dynamics: Dynamics
+) -> Smooth:
+    """The smoothed log, with covariances, of a forward pass and the adjoints (K,C) at stretches' ends."""
+    x, cov = adjoint.completed(readings, trace, ends, dynamics)
+    return Smooth(fold, readings, tangents, trace.without_gains(), x, cov)

@@ -7,9 +7,8 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import PAST, WHOLE, ErrorCorrelation, LastFrame, PendingFrame, reach
-from ..noise.evidence_search import ROUGHLY
 from ..noise.posture_prior import stationary
-from .convergence import SETTLED
+from .convergence import ROUGHLY, SETTLED
 from .filter_records import Readings
 from .folded_readings import encoder_rows, folded_readings
 from .folds import Fold, fold_for

@@ -13,7 +13,7 @@ from ...types import Array, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
 from ..faults.offset_step import free_energy
 from ..faults.screening import screened
-from ..inference.convergence import DidNotConverge
+from ..inference.convergence import ROUGHLY, DidNotConverge
 from ..inference.gauss_newton import solve
 from ..inference.problem import Problem
 from ..inference.reacquisition import named
@@ -22,7 +22,7 @@ from ..inference.walk import find_initial_path, loses_encoder, walk
 from ..measurements.gather import start
 from ..measurements.timeline import timeline
 from ..noise import encoder_noise, typed
-from ..noise.evidence_search import ROUGHLY, tune, with_preferred_order
+from ..noise.evidence_search import tune, with_preferred_order
 from ..noise.noise_model import resolve, warned, weighed
 from ..noise.posture_prior import learn_prior
 from . import results
@@ -34,7 +34,7 @@ S = TypeVar("S", bound=Solution)
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Filtered belief at each output time, given all measurements up to then.
 
-    `laplace` linearises frames at the belief until it rests; `ekf` does so once, at the prior mean.
+    `laplace` linearises frames at the belief until it converges; `ekf` does so once, at the prior mean.
     """
     at = "prior" if settings.method == "ekf" else "posterior"
     start_problem = gathered(features, body, settings)

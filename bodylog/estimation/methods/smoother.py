@@ -20,8 +20,8 @@ from ..inference.initial_path import handed_over
 from ..inference.leave_one_out import Judged, free_energy, left_out, outliers, without
 from ..inference.problem import Problem
 from ..inference.scan import Keep, scan
-from ..inference.silence import completed, smoothed
-from ..inference.solution import Smooth, Solution
+from ..inference.silence import smoothed
+from ..inference.solution import Smooth, Solution, completed
 from ..noise.correlated_noise import WHOLE
 from . import results
 from .filtering import drifts, gathered, kept, lost, settled, shown, tuned

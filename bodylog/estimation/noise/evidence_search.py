@@ -8,6 +8,7 @@ import numpy as np
 
 from ...types import Array, Hypothesis
 from ..faults.threshold import NATS
+from ..inference.convergence import ROUGHLY
 from ..inference.gauss_newton import solve
 from ..inference.problem import Problem
 from ..inference.reacquisition import left_open, silent
@@ -25,8 +26,6 @@ from .visibility import View, views, visual
 
 Measured = TypeVar("Measured", Encoders, Sighting)
 
-ROUGHLY = 1e-2
-"""Standard deviations: tolerance on starts for comparing evidence."""
 ROUNDS = (1.2, 0.7, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
