@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array
-from ..measurements.records import mixed
+from ..measurements.records import unmixed
 from .gate import FLAT, GATE
 from .problem import Problem
 from .solution import Smooth
@@ -68,8 +68,9 @@ def _encoders(problem: Problem, x: Array, var: Array, d: Array, gate: float) -> 
     used, a = np.abs(d[at]) <= gate, np.maximum(var[at, -m:], 0.0)  # rounding
     total = np.where(used, np.maximum(noise - a, LEAST * noise), noise + a)
     errors = (found.values - read) / np.sqrt(total)
-    removed = np.isnan(d[at]) & np.isfinite(errors)
-    return errors, np.where(removed, _cost(errors * errors, np.log(2.0 * np.pi * total)), 0.0)
+    removed, nats = np.isnan(d[at]) & np.isfinite(errors), np.zeros(errors.shape)
+    nats[removed] = _cost(np.square(errors[removed]), np.log(2.0 * np.pi * total[removed]))
+    return errors, nats
 
 
 def _frames(
@@ -78,21 +79,30 @@ def _frames(
     """Places, squares and nats of a sighting's frames, and which were gated; smoothed x (E,K) and cov (E,O,O)."""
     sighting, at, m = problem.evidence.sightings[index], problem.timeline.sightings[index], len(problem.start)
     (values, _, mix), pick, x = sighting.independent, smooth.fold.pick, x[at, :m]
-    plain, removed = sighting.model.predict(x), np.isnan(pick(smooth.readings.y, at)[:, index, 0])
-    mean, jac, var = mixed(mix, plain)
+    removed, (mean, jac, var) = np.isnan(pick(smooth.readings.y, at)[:, index, 0]), smooth.tangents.predicted(index, x)
     std = np.sqrt(pick(smooth.readings.var, at)[:, index, : values.shape[1]] + var * removed[:, None])
     residual, h = (values - mean) / std, jac / std[..., None]  # their R is 1
     far = ~removed & _gated(smooth, at, index)
-    a, axes = np.linalg.eigh(projected(h, cov[at, :m, :m]))
-    along, used = np.einsum("fde,fd->fe", axes, residual), ~(removed | far)[:, None]
-    left = np.where(used, np.maximum(1.0 - a, LEAST), 1.0)
-    total, spread = np.where(used, left, 1.0 + a), np.where(used, 1.0 / left - 1.0, a)
-    square, log_size = (along * along / total).sum(axis=1), np.log(2.0 * np.pi * total * std * std).sum(axis=1)
-    back = std[..., None] * axes if mix is None else np.linalg.solve(mix, std[..., None] * axes)
-    error = np.einsum("fde,fe->fd", back, along / left)
-    place = np.where(np.isfinite(error), sighting.values - error, plain[0])
+    a, used, one = projected(h, cov[at, :m, :m]), ~(removed | far)[:, None, None], np.eye(h.shape[1])
+    inverse, log_total = _inverse(one + np.where(used, -a, a))
+    scaled = np.einsum("fde,fe->fd", inverse, residual)
+    square, log_size = (scaled * residual).sum(axis=1), log_total + np.log(2.0 * np.pi * std * std).sum(axis=1)
+    error, spread = std * np.where(used[..., 0], scaled, residual), np.where(used, inverse - one, a)
+    place = np.where(np.isfinite(error), values - error, mean)
     nats = np.where(removed & np.isfinite(square), _cost(square, log_size), 0.0)
-    return (place, (back * spread[:, None]) @ back.swapaxes(1, 2), plain[2]), square, nats, far
+    return unmixed(mix, (place, std[..., None] * spread * std[:, None], var)), square, nats, far
+
+
+def _inverse(symmetric: Array) -> tuple[Array, Array]:
+    """Inverses of matrices (F,D,D) and the logarithms (F,) of their determinants, by the sweep operator."""
+    s, log_size = np.moveaxis(symmetric, 0, -1).copy(), np.zeros(len(symmetric))
+    for k in range(len(s)):
+        pivot = np.maximum(s[k, k], LEAST)
+        row = s[k] / pivot
+        s = s - s[:, k, None] * row
+        s[k], s[:, k], s[k, k] = row, row, -1.0 / pivot
+        log_size += np.log(pivot)
+    return -np.moveaxis(s, -1, 0), log_size
 
 
 def _gated(smooth: Smooth, at: Array, index: int) -> Array:

@@ -27,10 +27,10 @@ class Tangents:
         # without a copy if that is all
         self._seen = tuple(slice(None) if some.all() else np.flatnonzero(some) for some in seen)
         self._weighed: NoiseModel | None = None
-        self._y: tuple[Array, ...] = tuple(np.full(one.values.shape, np.nan) for one in sightings)
-        self._jac = tuple(np.zeros((*y.shape, x.shape[1])) for x, y in zip(points, self._y, strict=True))
-        self._model_var = tuple(np.zeros(y.shape) for y in self._y)
-        self._var = tuple(np.ones(y.shape) for y in self._y)
+        self._intercept: tuple[Array, ...] = tuple(np.full(one.values.shape, np.nan) for one in sightings)
+        self._jac = tuple(np.zeros((*y.shape, x.shape[1])) for x, y in zip(points, self._intercept, strict=True))
+        self._model_var = tuple(np.zeros(y.shape) for y in self._intercept)
+        self._var = tuple(np.ones(y.shape) for y in self._intercept)
         # the misfit of the kernel is each model's own
         common = [one.common / getattr(one.model, "misfit", 1.0) for one in sightings]
         counted = [int(some.sum()) for some in seen]
@@ -48,7 +48,7 @@ class Tangents:
             stale = self._stale[index]
             if stale.any():
                 self._predict(index, sighting, stale)
-                _put(fold, readings.y, index, events, self._y[index], stale)
+                _put(fold, readings.y, index, events, self._y(index), stale)
                 _put(fold, readings.jac, index, events, self._jac[index], stale)
                 changed = True
             elif self._weighed is problem.precision:
@@ -72,12 +72,23 @@ class Tangents:
         """The model's own variance (F,D) where one sighting's frames are linearised."""
         return self._model_var[index]
 
+    def predicted(self, index: int, x: Array) -> tuple[Array, Array, Array]:
+        """Independent rows of one sighting's frames at angles x (F,M): mean, Jacobian and the model's variance."""
+        jac, var, far = self._jac[index], self._model_var[index], np.abs(x - self.points[index]) > self.resting
+        mean, anew = self._intercept[index] + np.einsum("fdm,fm->fd", jac, x), far.any(axis=1)
+        if anew.any():
+            jac, var = jac.copy(), var.copy()
+            mean[anew], jac[anew], var[anew] = _rows(self._sightings[index], x[anew], anew)
+        return mean, jac, var
+
     def _predict(self, index: int, sighting: Sighting, stale: Array) -> None:
-        x, (values, _, mix) = self.points[index][stale], sighting.independent
-        predicted = mixed(mix if mix is None else mix[stale], sighting.model.predict(x))
-        mean, jac, self._model_var[index][stale] = predicted
-        self._y[index][stale] = values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
-        self._jac[index][stale] = jac
+        x = self.points[index][stale]
+        mean, self._jac[index][stale], self._model_var[index][stale] = predicted = _rows(sighting, x, stale)
+        self._intercept[index][stale] = mean - np.einsum("fdm,fm->fd", predicted[1], x)
+
+    def _y(self, index: int) -> Array:
+        """Readings (F,D) of the angles by one sighting's frames: s − g + J x°."""
+        return self._sightings[index].independent.values - self._intercept[index]
 
     def _variances(self, index: int, sighting: Sighting, precision: NoiseModel, share: float) -> Array:
         """Variances (F,D), inflated such that correlated frames together do not count more than they inform."""
@@ -95,8 +106,9 @@ class Tangents:
     def write(self, problem: "Problem", fold: Fold, readings: Readings) -> None:
         """Write all tangents into other readings of the same log."""
         for index, events in enumerate(problem.timeline.sightings):
-            for folded, own in ((readings.y, self._y), (readings.jac, self._jac), (readings.var, self._var)):
-                _put(fold, folded, index, events, own[index])
+            own = self._y(index), self._jac[index], self._var[index]
+            for folded, rows in zip((readings.y, readings.jac, readings.var), own, strict=True):
+                _put(fold, folded, index, events, rows)
 
     def again(self, sightings: tuple[Sighting, ...]) -> "Tangents":
         """An independent copy; for other sightings of the same frames, new tangents at the same points."""
@@ -104,8 +116,8 @@ class Tangents:
             return Tangents(sightings, self.points)
         other = copy(self)
         other._weighed = None
-        other._y, other._jac, other._model_var, other._var = (
-            tuple(part.copy() for part in parts) for parts in (self._y, self._jac, self._model_var, self._var)
+        other._intercept, other._jac, other._model_var, other._var = (
+            tuple(part.copy() for part in parts) for parts in (self._intercept, self._jac, self._model_var, self._var)
         )
         return other
 
@@ -117,6 +129,12 @@ class Tangents:
         self._stale = tuple(np.abs(move).max(axis=0) > self.resting for move in moves)
         choices = zip(self._stale, wanted, self.points, strict=True)
         self.points = tuple(np.where(stale[:, None], new, old) for stale, new, old in choices)
+
+
+def _rows(sighting: Sighting, x: Array, some: Array) -> tuple[Array, Array, Array]:
+    """Mean, Jacobian and the model's variance of the independent rows of some (F,) bool of a sighting's frames."""
+    mix = sighting.independent.mix
+    return mixed(mix if mix is None else mix[some], sighting.model.predict(x))
 
 
 def _put(fold: Fold, a: Array, index: int, events: Array, rows: Array, some: Array | slice = slice(None)) -> None:

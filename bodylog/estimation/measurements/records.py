@@ -92,6 +92,15 @@ def mixed(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tuple[Arr
     return (mix @ mean[..., None])[..., 0], mix @ jac, (mix * mix @ var[..., None])[..., 0]
 
 
+def unmixed(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """Mean (…,D), covariance (…,D,D) and model variance (…,D) of a sense's own rows, from those made by mix (…,D,D)."""
+    if mix is None:
+        return predicted
+    (mean, cov, var), back = predicted, np.linalg.inv(mix)
+    squares = np.linalg.solve(mix * mix, var[..., None])
+    return (back @ mean[..., None])[..., 0], back @ cov @ back.swapaxes(-1, -2), squares[..., 0]
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """All measurements. `encoders` stay when unused (all NaN), for their clock.

@@ -88,16 +88,16 @@ def _paths(part: Problem, solved: Solution, factors: Array) -> Array:
     One factor after the other, as a smoother keeps covariances of all instants.
     """
     solved.tangents.draw(part, solved.fold, solved.readings)
-    trace, paths = None, []
+    trace, paths, sampled = None, [], part.timeline.sampled
     for process in factors[:, None] * part.precision.process:
         posed = replace(part, precision=replace(part.precision, process=process, stated=_of_noise(part)))
         path, trace = _path(posed, solved, trace)
-        paths.append(path)
+        paths.append(path[sampled])
     return np.stack(paths)
 
 
 def _path(posed: Problem, solved: Solution, into: Trace | None) -> tuple[Array, Trace]:
-    """Smoothed angles (B,M) at the images; and the trace, which may be `into`, overwritten."""
+    """Smoothed angles (E,M); and the trace, which may be `into`, overwritten."""
     fold, dynamics, m = solved.fold, posed.dynamics, len(posed.start)
     var = solved.tangents.weighed(posed, fold, solved.readings, WHOLE)
     readings, trace = replace(solved.readings, var=var), into
@@ -110,7 +110,7 @@ def _path(posed: Problem, solved: Solution, into: Trace | None) -> tuple[Array, 
     for _ in range(TURNS):
         smooth, start = adjoint.smoothed(readings, trace, ends, dynamics)
         ends = adjoint.before(start)
-    return fold.unfold(smooth[:, :m])[posed.timeline.sampled], trace
+    return fold.unfold(smooth[:, :m]), trace
 
 
 def side_by_side(
