@@ -52,7 +52,7 @@ def completed(readings: Readings, trace: Trace, ends: Array, dynamics: Dynamics)
     """
     x, cov, adjoint, into = np.empty_like(trace.z), np.empty_like(trace.cov), ends, None
     information = _ends(_starts(readings, trace, dynamics))
-    for at in _blocks(trace)[::-1]:
+    for at in trace.blocks[::-1]:
         part, into = _block(readings, trace, at, dynamics, into)
         x[at], adjoint = smoothed(part, into, adjoint, dynamics)
         information = _back(part, into, information, dynamics, cov=cov[at])
@@ -65,22 +65,17 @@ def _starts(readings: Readings, trace: Trace, dynamics: Dynamics) -> Array:
     The information Λ of everything after a stretch becomes W + Ψ Λ Ψᵀ at its start, where Ψ maps adjoints at the end
     back to it. The smoothed covariance is P − P Λ P.
     """
-    (k, c), blocks, count = trace.z.shape[1:], _blocks(trace), FIRST
-    while True:
-        found = np.zeros((k, 2 * k, c))
-        np.einsum("kkc->kc", found[:, k:])[:] = 1.0
-        for at in blocks[:count][::-1]:
-            found = _back(*_block(readings, trace, at, dynamics), found, dynamics)
-        own, across = found[:, :k], found[:, k:]
+    k, c = trace.z.shape[1:]
+    end = np.concatenate([np.zeros((k, k, c)), np.repeat(np.eye(k)[..., None], c, axis=-1)], axis=1)
+    own, across = end[:, :k], end[:, k:]
+    for at in trace.blocks:
+        part = _back(*_block(readings, trace, at, dynamics), end, dynamics)
+        own = own + np.einsum("aic,ijc,bjc->abc", across, part[:, :k], across, optimize=True)
+        across = np.einsum("aic,ijc->ajc", across, part[:, k:])
         later = np.einsum("aic,ijc,ajc->ac", across, own, across, optimize=True)
-        if count >= len(blocks) or (later <= np.finfo(float).eps * np.einsum("aac->ac", own)).all():
-            return found
-        count *= 2
-
-
-def _blocks(trace: Trace) -> list[slice]:
-    length = len(trace.z)
-    return [slice(first, min(first + BLOCK, length)) for first in range(0, length, BLOCK)]
+        if (later <= np.finfo(float).eps * np.einsum("aac->ac", own)).all():
+            break
+    return np.concatenate([own, across], axis=1)
 
 
 def _block(

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from ...types import Array
+
 SWEEPS = 25
 """Most sweeps: both methods converge within 13 on 15 simulated and recorded logs."""
 SETTLED = 1e-8
@@ -21,3 +23,9 @@ def sure(move: float) -> float:
     if np.isnan(move):
         raise DidNotConverge("rounding leaves no number")
     return move
+
+
+def far(z: Array, p: Array, next_z: Array, next_p: Array) -> float:
+    """How far the farthest start moved, in standard deviations."""
+    std, before = (np.sqrt(np.maximum(np.einsum("iic->ic", cov), 1e-24)) for cov in (next_p, p))
+    return float(np.maximum(np.abs((next_z - z) / std), np.abs(before / std - 1.0)).max())

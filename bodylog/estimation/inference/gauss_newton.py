@@ -9,7 +9,7 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import PAST
-from .convergence import RESTING, SETTLED, SWEEPS, DidNotConverge, sure
+from .convergence import RESTING, SETTLED, SWEEPS, DidNotConverge, far, sure
 from .folded_readings import folded_readings
 from .folds import Fold, fold_for
 from .initial_path import handed_over, initial_tangents, starts
@@ -45,9 +45,3 @@ def initial_sweep(problem: Problem, fold: Fold, warm: Solution | None) -> tuple[
     if warm is None:
         return initial_tangents(problem, fold)
     return warm.tangents.again(problem.evidence.sightings), *starts(problem, fold, warm)
-
-
-def far(z: Array, p: Array, next_z: Array, next_p: Array) -> float:
-    """How far the farthest start moved, in standard deviations."""
-    std, before = (np.sqrt(np.maximum(np.einsum("iic->ic", cov), 1e-24)) for cov in (next_p, p))
-    return float(np.maximum(np.abs((next_z - z) / std), np.abs(before / std - 1.0)).max())

@@ -10,6 +10,7 @@ from enum import Enum
 import numpy as np
 
 from ...types import Array
+from .convergence import SETTLED, far
 from .filter_records import Dynamics, Readings
 from .gate import FLAT, GATE
 from .kernel import fields, run
@@ -58,6 +59,17 @@ class Trace:
     back: tuple[Array, Array] | None = None
     marks: Array | None = None
 
+    @property
+    def blocks(self) -> list[slice]:
+        """The instants of each mark."""
+        return [slice(at, min(at + BLOCK, len(self.z))) for at in range(0, len(self.z), BLOCK)]
+
+    def between(self, at: slice) -> "Trace":
+        """Views of one block of what a smoother's means need."""
+        parts = {name: part[at] for name, part in vars(self).items() if part is not None and len(part) == len(self.z)}
+        assert self.marks is not None
+        return replace(self, **parts, end_p=self.end_p.copy(), marks=self.marks[at.start // BLOCK :][:1])
+
     def without_gains(self) -> "Trace":
         """The trace without what only the backward pass needs, most of its memory."""
         return replace(self, p=None, back=None, marks=None)
@@ -93,6 +105,18 @@ def scan(
         encoder_d=trace.encoder_d, information=trace.information, gains=gains, weights=weights, marks=trace.marks,
     )  # fmt: skip
     return trace
+
+
+def restart(readings: Readings, dynamics: Dynamics, z: Array, p: Array, trace: Trace) -> None:
+    """Filter anew, in place, from starts z (K,C), p (K,K,C), until a block ends with the belief of before."""
+    assert trace.marks is not None
+    for at, after in zip(trace.blocks, [*trace.marks[1:], None], strict=True):
+        part = scan(readings.between(at.start, at.stop), dynamics, z, p, Keep.MEANS, trace.between(at))
+        z, p = part.z[-1], part.end_p
+        if after is None:
+            trace.end_p[:] = p
+        elif far(after[:, -1], after[:, :-1], z, p) < SETTLED:
+            return
 
 
 def _empty(length: int, sizes: tuple[int, int, int, int], stretches: int, kept: int, keep: Keep) -> Trace:

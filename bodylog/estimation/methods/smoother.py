@@ -12,14 +12,14 @@ from ...body_model import BodyModel
 from ...settings import Estimation
 from ...types import Array, Estimate, Features
 from ..inference import adjoint
-from ..inference.convergence import SWEEPS, DidNotConverge, sure
+from ..inference.convergence import SWEEPS, DidNotConverge, far, sure
 from ..inference.folded_readings import folded_readings
 from ..inference.folds import fold_for
-from ..inference.gauss_newton import far, initial_sweep
+from ..inference.gauss_newton import initial_sweep
 from ..inference.initial_path import handed_over
 from ..inference.leave_one_out import Judged, free_energy, left_out, outliers, without
 from ..inference.problem import Problem
-from ..inference.scan import Keep, scan
+from ..inference.scan import Keep, restart, scan
 from ..inference.silence import smoothed
 from ..inference.solution import Smooth, Solution, completed
 from ..noise.correlated_noise import WHOLE
@@ -89,19 +89,22 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     tangents.write(problem, fold, readings)
     for sweep in range(SWEEPS):
         moved = tangents.draw(problem, fold, readings)
-        if trace is not None and rest < LASTING and not moved:
-            return completed(fold, readings, tangents, trace, ends, dynamics)
-        trace = scan(readings, dynamics, z, p, Keep.MEANS, into=trace)
+        if trace is None or moved:
+            trace = scan(readings, dynamics, z, p, Keep.MEANS, into=trace)
+        else:
+            restart(readings, dynamics, z, p, trace)
         next_z, next_p = handed_over(z, p, trace.z[-1], trace.end_p)
-        z, p, move, path, rest = next_z, next_p, sure(far(z, p, next_z, next_p)), trace.z, np.inf
+        z, p, move, path = next_z, next_p, sure(far(z, p, next_z, next_p)), trace.z
         if sweep or isinstance(warm, Smooth):
             near = adjoint.at_start(readings, trace, dynamics)
             expected = adjoint.before(near + beyond)
+            if not moved and max(rest, move, _pulled(expected - ends, p)) < LASTING:
+                return completed(fold, readings, tangents, trace, expected, dynamics)
             path, at_start = adjoint.smoothed(readings, trace, expected, dynamics)
             ends, beyond = adjoint.before(at_start), at_start - near
-            rest = max(move, _pulled(ends - expected, p))
+            rest = _pulled(ends - expected, p)
         tangents.follow(problem, fold, path)
-    raise DidNotConverge(f"smoother: no rest after {SWEEPS} sweeps, last move {rest:.2g}")
+    raise DidNotConverge(f"smoother: no rest after {SWEEPS} sweeps, last move {move:.2g}")
 
 
 def _pulled(adjoint_moved: Array, p: Array) -> float:
