@@ -14,9 +14,6 @@ from .kernel import fields, run
 from .motion import EVEN
 from .scan import BLOCK, Keep, Trace, scan
 
-FIRST = 2
-"""Blocks of a stretch that mostly determine adjoints and information before it to rounding."""
-
 
 class _Adjoint(ctypes.Structure):
     _fields_ = fields(
@@ -37,10 +34,10 @@ def smoothed(readings: Readings, trace: Trace, end: Array, dynamics: Dynamics) -
 
 
 def at_start(readings: Readings, trace: Trace, dynamics: Dynamics) -> Array:
-    """Adjoints (K,C) before the first instant, by the first blocks: what comes after them rarely matters."""
+    """Adjoints (K,C) before the first instant, by the first block: what comes after it matters little."""
     assert trace.p is not None
     length, o, _, c = trace.p.shape
-    x = np.empty((min(FIRST * BLOCK, length), o, c))
+    x = np.empty((min(BLOCK, length), o, c))
     return _back(readings, trace, np.zeros((trace.z.shape[1], 1, c)), dynamics, smooth=x)[:, 0]
 
 

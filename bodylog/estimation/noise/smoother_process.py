@@ -23,9 +23,6 @@ from ..inference.solution import Solution
 from .correlated_noise import WHOLE
 from .visibility import LONG
 
-TURNS = 2
-"""Rounds in which stretches hand over their ends."""
-
 
 def least(part: Problem, solved: Solution) -> tuple[Array, float]:
     """Process variances (M,) of least error, as one factor on the problem's, and this error's share of V.
@@ -100,16 +97,12 @@ def _path(posed: Problem, solved: Solution, into: Trace | None) -> tuple[Array, 
     """Smoothed angles (E,M); and the trace, which may be `into`, overwritten."""
     fold, dynamics, m = solved.fold, posed.dynamics, len(posed.start)
     var = solved.tangents.weighed(posed, fold, solved.readings, WHOLE)
-    readings, trace = replace(solved.readings, var=var), into
-    z, p = handed_over(*priors(posed, fold), solved.trace.z[-1], solved.trace.end_p)
-    for _ in range(TURNS):
-        trace = scan(readings, dynamics, z, p, Keep.MEANS, into=trace)
-        z, p = handed_over(z, p, trace.z[-1], trace.end_p)
-    assert trace is not None
-    ends = np.zeros_like(z)
-    for _ in range(TURNS):
-        smooth, start = adjoint.smoothed(readings, trace, ends, dynamics)
-        ends = adjoint.before(start)
+    readings = replace(solved.readings, var=var)
+    prior, before = priors(posed, fold), solved.trace
+    trace = scan(readings, dynamics, *handed_over(*prior, before.z[-1], before.end_p), Keep.MEANS, into)
+    trace = scan(readings, dynamics, *handed_over(*prior, trace.z[-1], trace.end_p), Keep.MEANS, trace)
+    _, start = adjoint.smoothed(readings, trace, np.zeros_like(trace.z[-1]), dynamics)
+    smooth, _ = adjoint.smoothed(readings, trace, adjoint.before(start), dynamics)
     return fold.unfold(smooth[:, :m]), trace
 
 
