@@ -10,7 +10,7 @@ from bodylog.estimation.inference import adjoint
 from bodylog.estimation.inference.filter_records import Dynamics, Readings
 from bodylog.estimation.inference.gate import FLAT, GATE
 from bodylog.estimation.inference.reacquisition import START_STD
-from bodylog.estimation.inference.scan import Keep, scan
+from bodylog.estimation.inference.scan import Keep, restart, scan
 
 JOINTS = 3
 
@@ -205,6 +205,18 @@ def test_stretches_that_follow_each_other_are_one(drawn):
     expected, expected_cov = adjoint.completed(whole, one, np.zeros((dynamics.size, 1)), dynamics)
     np.testing.assert_allclose(np.concatenate(np.moveaxis(x, -1, 0)), expected[..., 0], atol=1e-9)
     np.testing.assert_allclose(np.concatenate(np.moveaxis(cov, -1, 0)), expected_cov[..., 0], atol=1e-9)
+
+
+def test_restart_filters_anew_until_the_start_is_forgotten(drawn):
+    readings, dynamics, z, p = drawn
+    fresh, trace = (scan(readings, dynamics, *start, Keep.MEANS) for start in ((z, p), (z + 0.3, 2.0 * p)))
+    restart(readings, dynamics, z, p, trace)
+    for name in ("prior", "prior_cov", "z", "cov", "end_p", "nats", "encoder_d", "p", "information"):
+        np.testing.assert_array_equal(getattr(trace, name), getattr(fresh, name))
+    second = fresh.blocks[1]
+    trace.z[second], trace.end_p[:] = 0.0, 0.0
+    restart(readings, dynamics, z, p, trace)  # the first block ends as before
+    assert not trace.z[second].any() and not trace.end_p.any()
 
 
 def test_candidates_stand_side_by_side(drawn):
