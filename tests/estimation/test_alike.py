@@ -48,9 +48,9 @@ def test_counts_are_the_recursion():
 
 @pytest.mark.parametrize("speed", [0.0, 0.02, 0.5])
 @pytest.mark.parametrize("near", [0.0, alike.NEAR])
-@pytest.mark.parametrize("share", [alike.PAST, alike.WHOLE])
-def test_frame_variances_one_by_one_equal_the_batch(world, speed, near, share):
-    like, seen = alike.ErrorCorrelation(PROCESS, alike.reach(Local()), near, share), passed(world, 1, speed)
+@pytest.mark.parametrize("whole", [False, True])
+def test_frame_variances_one_by_one_equal_the_batch(world, speed, near, whole):
+    like, seen = alike.ErrorCorrelation(PROCESS, alike.reach(Local()), near, whole), passed(world, 1, speed)
     together = alike.variances(like, *seen)
     memory, single, (t, places, points, _, pixel, _) = alike.LastFrame(), [], seen
     for k, now in enumerate(t):
@@ -62,31 +62,31 @@ def test_frame_variances_one_by_one_equal_the_batch(world, speed, near, share):
 
 def test_frame_variances_of_a_moving_arm_are_uncorrelated(world):
     seen = passed(world, 2, 1.5)
-    for share in (alike.PAST, alike.WHOLE):
-        found = alike.variances(alike.ErrorCorrelation(PROCESS, np.array(0.002), alike.NEAR, share), *seen)
-        assert np.all(alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, share).spots(np.zeros((3, 2))) == 0.0)
+    for whole in (False, True):
+        found = alike.variances(alike.ErrorCorrelation(PROCESS, np.array(0.002), alike.NEAR, whole), *seen)
+        assert np.all(alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, whole).spots(np.zeros((3, 2))) == 0.0)
         assert np.median(found / (seen[-2] + seen[-1])) == pytest.approx(1.0, abs=0.01)
 
 
 def test_error_correlation_of_a_lasting_error_equals_linear_interpolation():
     x = np.linspace(0.0, 1.0, 100_001)
-    like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, alike.WHOLE)
+    like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, True)
     for correlation in (0.0, 0.4, 1.0):
         lasting = (x**2 + (1 - x) ** 2 + 2.0 * correlation * x * (1 - x)).mean()
         assert like.times(1.0, correlation) == pytest.approx(lasting / (x**2 + (1 - x) ** 2).mean(), rel=1e-4)
 
 
 def test_lasting_errors_count_less_than_independent_ones_in_a_filter():
-    like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, alike.PAST)
+    like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0)
     # extrapolated from two frames alone
     assert 1.0 - 5.0 / 8.0 < like.times(1.0, 1.0) < 1.0
 
 
-@pytest.mark.parametrize(("share", "steady"), [(alike.PAST, np.sqrt(2.0)), (alike.WHOLE, np.sqrt(0.125))])
+@pytest.mark.parametrize(("whole", "steady"), [(False, np.sqrt(2.0)), (True, np.sqrt(0.125))])
 @pytest.mark.parametrize("stated", [0.75, 1.0])
-def test_frame_variances_of_constant_frames_keep_the_stated_share(share, steady, stated):
+def test_frame_variances_of_constant_frames_keep_the_stated_share(whole, steady, stated):
     dt, error, jac, many = 1e-3, 0.002, np.eye(3)[:2], 10_000
-    like = alike.ErrorCorrelation(np.full(3, 0.02), np.array(0.1), 0.0, share, stated)
+    like = alike.ErrorCorrelation(np.full(3, 0.02), np.array(0.1), 0.0, whole, stated)
     t, still, models = dt * np.arange(many), np.zeros((many, 3)), np.full((many, 2), error)
     found = alike.variances(like, t, still[:, :2], still, np.tile(jac, (many, 1, 1)), 0.0 * models, models)
     assert stated * steady * (found[-1] * dt) ** 0.75 * 0.02**0.25 == pytest.approx(np.full(2, error), rel=0.01)
@@ -94,10 +94,10 @@ def test_frame_variances_of_constant_frames_keep_the_stated_share(share, steady,
 
 def test_independent_errors_do_not_extend_the_correlation(world):
     t, places, points, jac, pixel, model = passed(world, 3, 0.02)
-    like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, alike.WHOLE)
+    like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, True)
     once, ten = (alike.variances(like, t, places, points, jac, noise, model) - noise for noise in (pixel, 10.0 * pixel))
     np.testing.assert_allclose(once, ten, rtol=1e-9)
-    far = alike.ErrorCorrelation(PROCESS, np.array(0.1), alike.NEAR, alike.WHOLE)
+    far = alike.ErrorCorrelation(PROCESS, np.array(0.1), alike.NEAR, True)
     apart = places + 100.0 * np.arange(len(t))[:, None]
     np.testing.assert_allclose(alike.variances(far, t, apart, points, jac, pixel, model) - pixel, once, rtol=1e-9)
 

@@ -20,7 +20,7 @@ from bodylog.estimation.inference.filter_records import Dynamics
 from bodylog.estimation.inference.sequential import SequentialFilter
 from bodylog.estimation.live.estimator import Belief, Estimator
 from bodylog.estimation.measurements import touch
-from bodylog.estimation.noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame
+from bodylog.estimation.noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame
 from bodylog.settings import Estimation, Settings
 from bodylog.types import Estimate, Features, Series
 from tests.estimation.conftest import Explored, discretised
@@ -417,7 +417,7 @@ def test_encoder_steps_equal_the_matrix_form(seed, offsets, order):
 def test_search_that_is_satisfied_at_once_linearises_at_the_prior_mean(world):
     drawn, rng = world(0, duration=1.0), np.random.default_rng(0)
     dynamics, start = Dynamics(np.full(3, 0.3)), np.array([-0.9, -0.9, 1.0])
-    like = ErrorCorrelation(dynamics.process, np.asarray(np.inf), 0.0, PAST)
+    like = ErrorCorrelation(dynamics.process, np.asarray(np.inf), 0.0)
     model = drawn.body.senses["effector"]
     seen = model.predict(start[None])[0][0] + rng.normal(0.0, 5.0, 2)
     frame = PendingFrame(model, 0.0, seen, np.ones(2), like, LastFrame())

@@ -10,7 +10,7 @@ from bodylog.estimation import estimate
 from bodylog.estimation.inference.filter_records import Dynamics
 from bodylog.estimation.inference.sequential import SequentialFilter
 from bodylog.estimation.measurements import gather, track
-from bodylog.estimation.noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame
+from bodylog.estimation.noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame
 from bodylog.kinematics.camera import lens, project
 from bodylog.kinematics.rotations import exponential
 from bodylog.settings import Estimation
@@ -81,7 +81,7 @@ def filtered(features, body, process, poses):
     """The belief at each encoder instant, by a filter that goes instant by instant: (N,3), (N,3,3)."""
     joints, steps = features.joints, SequentialFilter(Dynamics(np.full(3, process)), None)
     values, var, mix = poses.independent
-    like = ErrorCorrelation(np.full(3, process), np.asarray(np.inf), 0.0, PAST)
+    like = ErrorCorrelation(np.full(3, process), np.asarray(np.inf), 0.0)
     rows = [(t, y, None) for t, y in zip(joints.t, joints.values, strict=True)]
     rows += [(t, np.full(3, np.nan), row) for row, t in enumerate(poses.t) if np.isfinite(poses.values[row]).all()]
     state, means, covs = steps.first(joints.values[0]), [], []

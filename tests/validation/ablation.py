@@ -152,9 +152,9 @@ def independent(self, step):
     return np.zeros(step.shape[:-1])
 
 
-def full_share(process, reach, near, share, stated, order):
+def full_share(process, reach, near, whole, stated, order):
     """Common errors whatever share of the variance is stated."""
-    return correlated_noise.ErrorCorrelation(process, reach, near, share, 1.0, order)
+    return correlated_noise.ErrorCorrelation(process, reach, near, whole, 1.0, order)
 
 
 PARTS = {
@@ -192,7 +192,7 @@ PARTS = {
         setting(correlated_noise.ErrorCorrelation, "postures", independent)),
     "weight of errors that last": (
         ("reaches, two cameras", "babble, two cameras"),
-        setting(correlated_noise, "LASTING", dict.fromkeys(correlated_noise.LASTING, 0.0))),
+        setting(correlated_noise.ErrorCorrelation, "times", lambda self, count, like: 2.0 * count - 1.0)),
     "common errors of two tracks": (
         ("babble, two cameras",), setting(tangents, "repeated", lambda frames, common, distinct: (1.0,) * len(frames))),
     "common errors where less is stated": (("still arms",), setting(tangents, "ErrorCorrelation", full_share)),

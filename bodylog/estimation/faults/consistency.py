@@ -6,7 +6,7 @@ import numpy as np
 
 from ...settings import Estimation
 from ...types import Estimate, Finding
-from ..noise import noise_model
+from ..measurements import long_arrays
 
 FAR, SHARE, FEWEST = 3.0, 0.05, 20
 """Gate in standard deviations, share of readings beyond it that gives a warning, and fewest readings judged."""
@@ -39,7 +39,7 @@ def _advice(found: Estimate, settings: Estimation, sense: str) -> str:
         return f"noise differs from that of --precision {settings.precision}; type --precision auto"
     if settings.bias == "off":
         return "an encoder may have an offset; type --bias auto"
-    if sense == "encoders" and len(found.errors[sense].values) <= noise_model.FEWEST:
+    if sense == "encoders" and len(found.errors[sense].values) <= long_arrays.FEWEST:
         return "readings are too few to learn their noise from"
     if sense == "encoders":
         return "encoders or images are wrong for a while; see when with bodylog report, or type --without vision"

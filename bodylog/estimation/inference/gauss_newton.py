@@ -8,7 +8,6 @@ linearisation points nor the starts move: the fixed point is the sequential filt
 import numpy as np
 
 from ...types import Array
-from ..noise.correlated_noise import PAST
 from .convergence import RESTING, SETTLED, SWEEPS, DidNotConverge, far, sure
 from .folded_readings import folded_readings
 from .folds import Fold, fold_for
@@ -26,7 +25,7 @@ def solve(problem: Problem, warm: Solution | None = None, at: str = "posterior",
     """
     fold = fold_for(len(problem.timeline.t))
     tangents, z, p = initial_sweep(problem, fold, warm)
-    tangents.resting, tangents.share = RESTING * rest, PAST
+    tangents.resting, tangents.whole = RESTING * rest, False
     readings, trace, move = folded_readings(problem, fold), None, np.inf
     tangents.write(problem, fold, readings)
     for _ in range(SWEEPS):

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...types import Array
-from ..noise.correlated_noise import WHOLE, LastFrame, PendingFrame
+from ..noise.correlated_noise import LastFrame, PendingFrame
 from .convergence import ROUGHLY, SWEEPS
 from .initial_path import priors
 from .instant import line_over
@@ -30,7 +30,7 @@ def smoothed(problem: Problem) -> Smooth:
     weigh too little to leave a wrong posture.
     """
     hidden, m, before = _open(problem), len(problem.start), np.array(np.inf)
-    solution = walk(without(problem, (np.array(False), *hidden)), WHOLE)
+    solution = walk(without(problem, (np.array(False), *hidden)), whole=True)
     solution, frames = _across_silences(problem, solution), _frames(problem, hidden)
     at = list(frames)
     for _ in range(SWEEPS):
@@ -65,7 +65,7 @@ def _across_silences(problem: Problem, solution: Solution) -> Solution:
 def _frames(problem: Problem, hidden: Sequence[Array]) -> dict[int, dict[int, PendingFrame]]:
     """The `hidden` frames by instant, and by track."""
     at = {k for events, some in zip(problem.timeline.sightings, hidden, strict=True) for k in events[some].tolist()}
-    every = frames_by_instant(problem, WHOLE, len(problem.timeline.t)) if at else {}
+    every = frames_by_instant(problem, True, len(problem.timeline.t)) if at else {}
     return {k: every[k] for k in sorted(at & every.keys())}
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Sighting, mixed
-from ..noise.correlated_noise import PAST, WHOLE, ErrorCorrelation, directions, reach, repeated, variances
+from ..noise.correlated_noise import ErrorCorrelation, directions, reach, repeated, variances
 from ..noise.noise_model import NoiseModel
 from .filter_records import Readings
 from .folds import Fold
@@ -20,8 +20,8 @@ class Tangents:
     """Linearisation points (F,M) rad of each sighting's frames, and the tangents there."""
 
     def __init__(self, sightings: tuple[Sighting, ...], points: tuple[Array, ...]) -> None:
-        """Start from points (F,M), all stale; moves below `resting` rad are ignored · share: PAST, WHOLE."""
-        self._sightings, self.points, self.resting, self.share = sightings, points, 0.0, PAST
+        """Start from points (F,M), all stale; moves below `resting` rad are ignored · whole: for a smoother."""
+        self._sightings, self.points, self.resting, self.whole = sightings, points, 0.0, False
         self._stale: tuple[Array, ...] = tuple(np.ones(len(x), bool) for x in points)
         seen = [np.all(np.isfinite(sighting.values), axis=1) for sighting in sightings]
         # without a copy if that is all
@@ -53,7 +53,7 @@ class Tangents:
                 changed = True
             elif self._weighed is problem.precision:
                 continue
-            var = self._variances(index, sighting, problem.precision, self.share)
+            var = self._variances(index, sighting, problem.precision, self.whole)
             other = np.logical_or.reduce((np.abs(var / self._var[index] - 1.0) > 1e-9).T)  # rounding
             self._var[index][other] = var[other]
             _put(fold, readings.var, index, events, var, other)
@@ -61,11 +61,11 @@ class Tangents:
         self._weighed = problem.precision
         return changed
 
-    def weighed(self, problem: "Problem", fold: Fold, readings: Readings, share: float) -> Array:
-        """Variances (L,T,D,C) of readings, with frames as in the problem's noise model and a share."""
+    def weighed(self, problem: "Problem", fold: Fold, readings: Readings, whole: bool) -> Array:
+        """Variances (L,T,D,C) of readings, frames as in the noise model, for a smoother (`whole`) or a filter."""
         var = readings.var.copy()
         for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
-            _put(fold, var, index, events, self._variances(index, sighting, problem.precision, share))
+            _put(fold, var, index, events, self._variances(index, sighting, problem.precision, whole))
         return var
 
     def model_var(self, index: int) -> Array:
@@ -90,13 +90,13 @@ class Tangents:
         """Readings (F,D) of the angles by one sighting's frames: s − g + J x°."""
         return self._sightings[index].independent.values - self._intercept[index]
 
-    def _variances(self, index: int, sighting: Sighting, precision: NoiseModel, share: float) -> Array:
+    def _variances(self, index: int, sighting: Sighting, precision: NoiseModel, whole: bool) -> Array:
         """Variances (F,D), inflated such that correlated frames together do not count more than they inform."""
         var, seen = precision.scale.get(sighting.name, 1.0) * sighting.independent.var, self._seen[index]
         # a filtered belief errs by far more than models do
-        often, stated = (self._repeated[index], precision.stated) if share == WHOLE else (1.0, 1.0)
+        often, stated = (self._repeated[index], precision.stated) if whole else (1.0, 1.0)
         near = precision.near.get(sighting.name, 0.0)
-        like = ErrorCorrelation(precision.process, reach(sighting.model), near, share, stated, precision.order)
+        like = ErrorCorrelation(precision.process, reach(sighting.model), near, whole, stated, precision.order)
         var[seen] = variances(
             like, sighting.t[seen], sighting.values[seen], self.points[index][seen], self._jac[index][seen], var[seen],
             self._model_var[index][seen], often,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
-from ..noise.correlated_noise import PAST, WHOLE, ErrorCorrelation, LastFrame, PendingFrame, reach
+from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, reach
 from ..noise.posture_prior import stationary
 from .convergence import ROUGHLY, SETTLED
 from .filter_records import Readings
@@ -48,7 +48,7 @@ def find_initial_path(problem: Problem, lost: bool = False) -> Problem:
     if confirmed and not _quiet(problem, line[-1:]):
         return replace(problem, resets=resets)
     problem = _with_stationary(problem)
-    whole = _stepped(problem, PAST, ROUGHLY, _only(len(line)))
+    whole = _stepped(problem, False, ROUGHLY, _only(len(line)))
     stepwise = not confirmed or _quiet(problem, line[:0]) or len(whole.adrift) > 0
     problem = replace(problem, path=(line, whole.points), resets=whole.resets, stepwise=stepwise)
     if problem.precision.learned is None:  # noise is not to be learned from the log
@@ -72,7 +72,7 @@ def _confirmed_soon(problem: Problem) -> tuple[bool, tuple[Array, Array] | None]
     soon = np.zeros((0, 1)) if encoders is None else encoders.values[encoders.t <= line[0] + SILENCE]
     often, lost = np.isfinite(soon).sum(axis=0) > 1, dict[float, Array]()
     unsure = bool(often.any())
-    for state in _states(problem, PAST, SETTLED, int(np.searchsorted(line, line[0] + SILENCE, "right"))):
+    for state in _states(problem, False, SETTLED, int(np.searchsorted(line, line[0] + SILENCE, "right"))):
         if state.lost is not None:
             lost[state.t] = state.lost
         unsure = unsure and not np.isfinite(state.borne)[often].all()
@@ -91,13 +91,13 @@ def _with_stationary(problem: Problem) -> Problem:
     return replace(problem, stationary=stationary(models, problem.start, problem.precision))
 
 
-def walk(problem: Problem, share: float = PAST) -> Solution:
-    """The filter's solution; for the share WHOLE in one single stretch, with what the smoother needs."""
-    events, keep = len(problem.timeline.t), Keep.MEANS if share == WHOLE else Keep.BELIEFS
-    fold = _only(events) if share == WHOLE else fold_for(events)
-    found = _stepped(problem, share, SETTLED, fold)
+def walk(problem: Problem, whole: bool = False) -> Solution:
+    """The filter's solution; for the `whole` log in one single stretch, with what the smoother needs."""
+    events, keep = len(problem.timeline.t), Keep.MEANS if whole else Keep.BELIEFS
+    fold = _only(events) if whole else fold_for(events)
+    found = _stepped(problem, whole, SETTLED, fold)
     tangents = Tangents(problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings))
-    tangents.share, readings = share, folded_readings(replace(problem, resets=found.resets), fold, found.held)
+    tangents.whole, readings = whole, folded_readings(replace(problem, resets=found.resets), fold, found.held)
     tangents.draw(problem, fold, readings)
     for at, state in found.adrift.items():
         write(np.array([at]), state.lines or {}, fold, readings)
@@ -127,14 +127,14 @@ def _quiet(problem: Problem, end: Array) -> bool:
     return max(float(np.diff(times).max(initial=0.0)) for times in known) > SILENCE
 
 
-def _stepped(problem: Problem, share: float, rest: float, fold: Fold) -> Walked:
+def _stepped(problem: Problem, whole: bool, rest: float, fold: Fold) -> Walked:
     """Filter the log, each frame linearised until it moves less than `rest` standard deviations."""
     line, m, size = problem.timeline.t, len(problem.start), problem.dynamics.order * len(problem.start)
     points, (means, var) = np.empty((len(line), m)), np.empty((2, len(line), size))
     held, read = np.zeros((len(line), m), bool), np.zeros(len(line), bool)
     lost, adrift = dict[float, Array](), dict[int, State]()
     z, p = priors(problem, fold)
-    for k, state in enumerate(_states(problem, share, rest, len(line))):
+    for k, state in enumerate(_states(problem, whole, rest, len(line))):
         if (k + 1) % fold.length == 0 and k + 1 < len(line):
             z[:, (k + 1) // fold.length], p[..., (k + 1) // fold.length] = state.belief[:, -1], state.belief[:, :-1]
         means[k], var[k] = state.belief[:size, -1], state.belief.diagonal()[:size]
@@ -154,11 +154,11 @@ def _stepped(problem: Problem, share: float, rest: float, fold: Fold) -> Walked:
     return Walked(points, z, p, _resets(lost), held, adrift, moments)
 
 
-def _states(problem: Problem, share: float, rest: float, events: int) -> Iterator[State]:
+def _states(problem: Problem, whole: bool, rest: float, events: int) -> Iterator[State]:
     """The states after the first `events` instants."""
     steps, more = SequentialFilter(problem.dynamics, problem.posture_prior, rest), problem.more
     readings, var = (part.tolist() for part in encoder_rows(replace(problem, posture_prior=None), events))
-    state, sights = steps.first(problem.start), frames_by_instant(problem, share, events)
+    state, sights = steps.first(problem.start), frames_by_instant(problem, whole, events)
     for k, t in enumerate(problem.timeline.t[:events].tolist()):
         try:
             state = steps.step(state, t, readings[k], var[k], sights.get(k, {}), None if more is None else more[k])
@@ -167,13 +167,13 @@ def _states(problem: Problem, share: float, rest: float, events: int) -> Iterato
         yield state
 
 
-def frames_by_instant(problem: Problem, share: float, before: int) -> dict[int, dict[int, PendingFrame]]:
+def frames_by_instant(problem: Problem, whole: bool, before: int) -> dict[int, dict[int, PendingFrame]]:
     """Frames by instant, and by track, of the first `before` instants."""
     found: dict[int, dict[int, PendingFrame]] = {}
     precision, line = problem.precision, problem.timeline
     for track, (sighting, events) in enumerate(zip(problem.evidence.sightings, line.sightings, strict=True)):
         scale, near = precision.scale.get(sighting.name, 1.0), precision.near.get(sighting.name, 0.0)
-        like = ErrorCorrelation(precision.process, reach(sighting.model), near, share, order=precision.order)
+        like = ErrorCorrelation(precision.process, reach(sighting.model), near, whole, order=precision.order)
         values, var, mix = sighting.independent
         for row in np.flatnonzero(np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)):
             t, own = float(sighting.t[row]), None if mix is None else mix[row]

@@ -17,7 +17,7 @@ from ..inference.sequential import SequentialFilter, State
 from ..measurements.gather import given_start
 from ..methods.table import METHODS
 from ..noise import typed
-from ..noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame, reach
+from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, reach
 from ..noise.noise_model import carried
 from ..noise.posture_prior import prior_of, stationary
 from .inputs import Angles, Inputs, Observation, Place, ToAngles, finite
@@ -64,7 +64,7 @@ class Estimator:
         self._stated = noise.of(np.ones((len(body.joints),) * 2))
         self._inputs = Inputs(body, settings, to_angles)
         self._like = {
-            name: ErrorCorrelation(noise.process, reach(model), noise.near.get(name, 0.0), PAST, order=noise.order)
+            name: ErrorCorrelation(noise.process, reach(model), noise.near.get(name, 0.0), order=noise.order)
             for name, model in self._inputs.models.items()
         }
         self._first, self._given = np.full(len(body.joints), np.nan), given_start(settings, body.joints)

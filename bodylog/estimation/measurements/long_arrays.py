@@ -6,6 +6,11 @@ import numpy as np
 
 from ...types import Array
 
+FEWEST = 30
+"""Readings from which a variance is known to a fourth, √(2/N): from fewer, neither noise nor a delay is sure."""
+BREAK = 10.0
+"""Robust standard deviations of second differences: what is farther from its neighbours is a false reading."""
+
 
 def any_of_row(mask: Array) -> Array:
     """Whether each row of mask (N,D) bool has a True; NumPy is slow along short rows."""

@@ -10,7 +10,8 @@ from .long_arrays import median_step
 from .records import Evidence
 
 FASTEST = 100.0
-"""Hz: encoders faster than this are all used, but the output is on a grid of this rate."""
+"""Hz: encoders faster than this are all used, but the output is on a grid of this rate, and noise is learned from means
+of so many a second, because a shorter stretch shows no acceleration."""
 INSTANTS, EACH = 300_000, 10.0
 """A grid of more instants than this, and of more per stamp than this, mostly covers silence and is refused."""
 APART = 25

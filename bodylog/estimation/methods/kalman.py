@@ -11,11 +11,12 @@ from ...types import Array, Estimate, Features
 from ..faults.screening import screened
 from ..measurements.gather import start
 from ..measurements.timeline import timeline
+from ..noise.noise_model import PAPER
 from . import results
 from .grid import RATE, Sense, at_instants, on_grid
 
-PROCESS, NOISE = 0.001, 1.0
-"""rad² per step and rad², as printed."""
+PROCESS = 0.001
+"""rad² per step: motion, as printed."""
 
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
@@ -25,10 +26,11 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     assert evidence.encoders is not None
     line = timeline(evidence, settings.rate or RATE)
     s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, line.t[line.outputs])
-    x, var, nats = static(s, start(evidence, settings, body.joints))
+    noise = PAPER[1]
+    x, var, nats = static(s, start(evidence, settings, body.joints), noise)
     cov, moved = (v[:, :, None] * np.eye(s.shape[1]) for v in (var, var + PROCESS))
-    read = Sense("encoders", s, None, np.full(s.shape, NOISE))
-    beliefs = at_instants(line, evidence, read, x, cov, moved, nats, {"process": PROCESS, "encoder": NOISE})
+    read = Sense("encoders", s, None, np.full(s.shape, noise))
+    beliefs = at_instants(line, evidence, read, x, cov, moved, nats, {"process": PROCESS, "encoder": noise})
     return results.estimate("kalman", body, evidence, line, beliefs)
 
 
@@ -43,14 +45,14 @@ def _encoders(body: BodyModel, settings: Estimation) -> tuple[str, ...]:
     return settings.senses or ("encoders",)
 
 
-def static(s: Array, x: Array) -> tuple[Array, Array, Array]:
-    """Belief and variance (N,M) after each row of s (N,M), NaN where silent, and nats (N,)."""
-    var, n = np.full(len(x), NOISE), len(s)
+def static(s: Array, x: Array, noise: float) -> tuple[Array, Array, Array]:
+    """Belief and variance (N,M) after each row of s (N,M), NaN where silent, of variance `noise`, and nats (N,)."""
+    var, n = np.full(len(x), noise), len(s)
     after, after_var, nats = np.empty(s.shape), np.empty(s.shape), np.empty(n)
     present = np.isfinite(s)
     for k in range(n):
         var = var + PROCESS
-        total, nu = var + NOISE, np.where(present[k], s[k] - x, 0.0)
+        total, nu = var + noise, np.where(present[k], s[k] - x, 0.0)
         nats[k] = 0.5 * (np.log(2 * np.pi * total) + nu**2 / total)[present[k]].sum()
         gain = present[k] * var / total
         x, var = x + gain * nu, (1.0 - gain) * var

@@ -22,7 +22,6 @@ from ..inference.problem import Problem
 from ..inference.scan import Keep, restart, scan
 from ..inference.silence import smoothed
 from ..inference.solution import Smooth, Solution, completed
-from ..noise.correlated_noise import WHOLE
 from . import results
 from .filtering import drifts, gathered, kept, lost, settled, shown, tuned
 from .results import Beliefs
@@ -83,7 +82,7 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     """The maximum a posteriori path; or DidNotConverge. Without a smoothed log `warm` the first round only filters."""
     fold, dynamics = fold_for(len(problem.timeline.t)), problem.dynamics
     tangents, z, p = initial_sweep(problem, fold, warm)
-    tangents.resting, tangents.share = LASTING, WHOLE
+    tangents.resting, tangents.whole = LASTING, True
     readings, trace, rest = folded_readings(problem, fold), None, np.inf
     ends, beyond = np.zeros((2, *z.shape))  # adjoints by all later readings, and by those far from a stretch's start
     tangents.write(problem, fold, readings)

@@ -24,15 +24,6 @@ Number = TypeVar("Number", float, Array)
 
 NEAR = 0.5
 """px: correlation length of perception's error, which has the period of the pixels."""
-PAST, WHOLE = 0.0, 1.0
-"""Share of later frames that a belief is by: a filter's, and a smoother's."""
-LASTING = {PAST: -3.0 / 8.0, WHOLE: 1.0 / 2.0}
-"""Weight of a lasting error beyond that of an independent one, on average over the time between frames.
-
-Interpolated between two frames, (1 − x) e₀ + x e₁, a lasting error keeps its variance, and independent ones get 2/3 of
-theirs. Extrapolated from two, (1 + x) e₁ − x e₀, 8/3, which gives −5/8; a filter remembers more frames. Of −5/8 to
-−1/4, −3/8 brings NEES nearest to 1 in drawn explorations; in thirty reaches with two cameras it is as near as −5/8.
-"""
 
 
 def steady_variance(density: Array, process: Array, order: int) -> Array:
@@ -45,21 +36,22 @@ def steady_variance(density: Array, process: Array, order: int) -> Array:
 class ErrorCorrelation:
     """When a track's errors correlate: postures within reach (M,) rad, places within `near` px, 0 for never.
 
-    process (M,) rad²/s³: the joints' white acceleration, or jerk, rad²/s⁵, for order 3 · share: PAST or WHOLE · stated
-    () or (M,): stated share of the variance, which must not fall below the common error.
+    process (M,) rad²/s³: the joints' white acceleration, or jerk, rad²/s⁵, for order 3 · whole: for a smoother, by the
+    frames of the whole log · stated () or (M,): stated share of the variance, which must not fall below the common
+    error.
     """
 
     process: Array
     reach: Array
     near: float
-    share: float
+    whole: bool = False
     stated: Array | float = 1.0
     order: int = 2
 
     @cached_property
     def wander(self) -> Array:
         """Process variance (M,) times c²ⁿ and a power of `stated`."""
-        steady = steady_variance(np.ones(()), np.ones(()), self.order) / (2 * self.order) ** self.share
+        steady = steady_variance(np.ones(()), np.ones(()), self.order) / (2 * self.order if self.whole else 1)
         return np.asarray((self.stated * steady) ** (2 * self.order) * self.process)
 
     @property
@@ -86,8 +78,14 @@ class ErrorCorrelation:
         return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
 
     def times(self, count: Number, like: Number) -> Number:
-        """Factor on the variance of a frame that counts as one of `count`; `like`: correlation with the last."""
-        return 2.0 * count - 1.0 + LASTING[self.share] * like / count
+        """Factor on the variance of a frame that counts as one of `count`; `like`: correlation with the last.
+
+        On average over the time between frames, a lasting error keeps its variance. Independent ones get 2/3 of theirs
+        between two frames, (1 − x) e₀ + x e₁, and 3/2 on a line beyond the last of three, ⅓ + ½ (1 + x)²; a line
+        through two, 8/3, makes NEES of a filter as far from 1 as none.
+        """
+        lasting = 3.0 / 2.0 if self.whole else 2.0 / 3.0
+        return 2.0 * count - 1.0 + (lasting - 1.0) * like / count
 
 
 def reach(model: ForwardModel) -> Array:

@@ -11,8 +11,6 @@ from ..inference.kernel import fields, run
 STATES, SKIP = 3, 10
 """Readings that do not count at the start, for either order: of few, as many as white jerk has states, and SKIP of 30
 or more, as a vague start costs white jerk more; after any restart, which may be at a false reading, SKIP."""
-VAGUE = 1e8
-"""Variance at a restart over a reading's: it knows nothing, and half of the digits are left."""
 
 
 class _Evidence(ctypes.Structure):
@@ -33,9 +31,11 @@ def evidence(
     begin = min(max(STATES, len(t) // 3), SKIP)
     counts = count - np.maximum.accumulate(np.where(fresh, count, begin - SKIP)) >= SKIP
     fresh = np.asarray(fresh | (count == 0))
+    # over a reading's variance: a restart knows nothing, and half of the digits are left
+    vague = np.finfo(float).eps ** -0.5
     squares, logs, lag = np.empty((3, len(ratios)))
     run(
-        "evidence", _Evidence, length=len(t), ratios=len(ratios), order=order, vague=VAGUE,
+        "evidence", _Evidence, length=len(t), ratios=len(ratios), order=order, vague=vague,
         usual=float(np.median(dt[dt > 0.0])), dt=dt, y=np.ascontiguousarray(y), ratio=np.ascontiguousarray(ratios),
         fresh=fresh, counts=counts, squares=squares, logs=logs, lag=lag,
     )  # fmt: skip

@@ -7,22 +7,19 @@ import numpy as np
 
 from ...types import Array
 from ..inference.gate import GATE
-from ..measurements.long_arrays import median, median_step, rows
+from ..measurements.long_arrays import BREAK, median, median_step, rows
 from ..measurements.records import Encoders
+from ..measurements.timeline import FASTEST
 from .encoder_evidence import STATES, evidence
 from .quantisation import dithered, shared_variance
 from .visibility import LONG
 
-SPACING = 0.01
-"""s: closer readings are averaged, because a short stretch shows no acceleration."""
 INSTANTS = 4000
 """Most averages, or averages and images, used from the middle of the log: these tell a variance to √(2/N), 2 %."""
 MEMORIES = 2.0 ** np.linspace(7.7, -4.7, 48)
 """Averages: memories tried; a parabola through the best three is exact to .05 in the logarithm of the density. With 64
 as the longest, of 180 joints at rest for 12 to 60 s 39 % got a process density above the `floor`; with 128, 4 %; logs
 of motion have the same errors with both."""
-BREAK = 10.0
-"""Robust standard deviations: a larger second difference is a false reading, where the filter restarts."""
 AROUND = 5
 """Second differences on each side among which a false reading must stand out."""
 MEMORY = 1.0
@@ -152,8 +149,7 @@ def _peak(ratios: Array, score: Array, noise: Array) -> tuple[float, float, floa
 
 def per_average(t: Array) -> int:
     """Readings per average."""
-    step = median_step(t) if len(t) > 1 else SPACING
-    return max(1, round(SPACING / max(step, 1e-9)))
+    return max(1, round(1.0 / FASTEST / max(median_step(t), 1e-9))) if len(t) > 1 else 1
 
 
 def averaged(found: Encoders) -> Encoders:

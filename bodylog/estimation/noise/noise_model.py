@@ -10,6 +10,7 @@ from ...body_model import BodyModel
 from ...errors import UsageError
 from ...settings import Estimation
 from ...types import Array, Finding
+from ..measurements.long_arrays import FEWEST
 from ..measurements.records import Encoders, Evidence
 from . import encoder_noise
 from .correlated_noise import NEAR
@@ -136,10 +137,6 @@ def _positive(found: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Ar
     count = " × ".join(map(str, shape))
     text = f"learned: {name} is {found.get(name)!r}, possible: {count} numbers above 0, as an estimate by this body has"
     raise UsageError(text)
-
-
-FEWEST = 30
-"""Readings of an encoder from which its noise is known to a fourth of its variance, √(2/N)."""
 
 
 def warned(evidence: Evidence, body: BodyModel, settings: Estimation) -> Evidence:

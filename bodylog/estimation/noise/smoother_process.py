@@ -20,7 +20,6 @@ from ..inference.initial_path import handed_over, priors
 from ..inference.problem import Problem
 from ..inference.scan import Keep, Trace, scan
 from ..inference.solution import Solution
-from .correlated_noise import WHOLE
 from .visibility import LONG
 
 
@@ -96,7 +95,7 @@ def _paths(part: Problem, solved: Solution, factors: Array) -> Array:
 def _path(posed: Problem, solved: Solution, into: Trace | None) -> tuple[Array, Trace]:
     """Smoothed angles (E,M); and the trace, which may be `into`, overwritten."""
     fold, dynamics, m = solved.fold, posed.dynamics, len(posed.start)
-    var = solved.tangents.weighed(posed, fold, solved.readings, WHOLE)
+    var = solved.tangents.weighed(posed, fold, solved.readings, whole=True)
     readings = replace(solved.readings, var=var)
     prior, before = priors(posed, fold), solved.trace
     trace = scan(readings, dynamics, *handed_over(*prior, before.z[-1], before.end_p), Keep.MEANS, into)

@@ -3,6 +3,11 @@
 Linearised at the angles found, the positions of a pose give its encoders' errors e = z − q the likelihood exp(eᵀl − ½
 eᵀΛe). These errors have the encoders' variances about their offsets b. Variances and offsets maximise the evidence of
 all poses. An angle without a reading has its prior instead.
+
+Few numbers per pose hardly tell encoders apart, so the ratios of their variances in the body count as one reading: the
+logarithms have the variance 2. How large they all are is left to the poses. On drawn tables of 1 to 40 poses, a prior
+on that, too, makes errors up to 6 % smaller where the body is right; where its standard deviations are a fortieth of
+the true ones, up to 4 % larger, with an NEES of 2.3 in place of 1.9 at three poses.
 """
 
 from dataclasses import dataclass
@@ -12,14 +17,6 @@ import numpy as np
 from ...types import Array, Fault, Finding
 from ..faults.threshold import FAR, LEAST, NATS, SIGMAS
 from .solve import Poses, solved
-
-WIDTH, APART = 2.0, 0.5
-"""Prior std of the logarithm of a factor on all encoders' stds, from the body's, and of a further one on each.
-
-Few numbers per pose hardly tell encoders apart. On eight kinds of twelve drawn tables, factors apart by 2, 1, 0.5 and
-0.25 alone give NEES of up to 62, 1.4, 1.3 and 1.2, but at 0.25 0.63 where one encoder of seven is a hundred times as
-noisy as the others; errors are 1.1, 1.04, 1.03 and 1.02 times those of known noise.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,15 +100,14 @@ def _best(errors: Errors, known: Array, free: Array, noise: bool, begin: Array) 
     """Greatest evidence (nats) with offsets `free` (M,), and the ln variances (M,) of encoders where it is reached."""
     from scipy.optimize import minimize
 
-    first, m = np.log(known), len(known)
+    first = np.log(known)
     if not noise:
         return evidence(first, errors, free)[0], first
-    prior = np.linalg.inv(4.0 * (WIDTH**2 * np.ones((m, m)) + APART**2 * np.eye(m)))
 
     def loss(log_var: Array) -> tuple[float, Array]:
         value, slope, *_ = evidence(log_var, errors, free)
-        away = prior @ (log_var - first)
-        return -value + 0.5 * float((log_var - first) @ away), -slope + away
+        away = log_var - first - (log_var - first).mean()
+        return -value + 0.25 * float(away @ away), -slope + 0.5 * away
 
     bounds = [(2.0 * np.log(1e-6), 2.0 * np.log(10.0))] * len(first)  # rad
     best = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=bounds)

@@ -12,8 +12,9 @@ from itertools import pairwise
 import numpy as np
 
 from ...types import Array
+from ..measurements.long_arrays import FEWEST
 from ..measurements.records import Encoders, Sighting
-from ..measurements.track_curve import FEWEST, MOST, Rows, regression_rows, track_curve
+from ..measurements.track_curve import MOST, Rows, regression_rows, track_curve
 
 PART, STEPS, PARTS = 0.5, 12.0, 40
 """Shortest part of the jackknife in s and in steps of the curves, and the most parts."""
