@@ -170,7 +170,7 @@ PARTS = {
         ("reaches, steps of 0.1 mrad",),
         setting(encoder_noise, "_followed_by", lambda folded, ratio, variance, order: ratio)),
     "restarts at jumps": (
-        ("sines, false readings",), setting(encoder_noise, "_alone", lambda bend: np.zeros(len(bend), bool))),
+        ("sines, false readings",), setting(encoder_noise, "_far", lambda bend: np.zeros(len(bend), bool))),
     "dithering of steps": (
         ("reaches, steps of 1.5 mrad", "slow sines, steps of 0.01 rad"),
         setting(encoder_noise, "dithered", never_dithered)),

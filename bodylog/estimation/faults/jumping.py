@@ -5,13 +5,11 @@ from math import tau
 import numpy as np
 
 from ...types import Array
-from ..measurements.long_arrays import median, median_step, rows
+from ..measurements.long_arrays import LEVEL, median, median_step, rows
 from .threshold import LEAST, NATS
 
 JUMP = 12.0
 """Smallest jump in standard deviations of the readings' steps."""
-LEVEL = 5
-"""Readings on each side of a jump that give its size."""
 FASTEST = 1000.0
 """rad/s²: largest acceleration of a joint; the fastest parallel robots reach a third of it at 1 m (15 g at 0.5 m)."""
 BESIDE = 0.5

@@ -8,8 +8,8 @@ from ...types import Array
 
 FEWEST = 30
 """Readings from which a variance is known to a fourth, √(2/N): from fewer, neither noise nor a delay is sure."""
-BREAK = 10.0
-"""Robust standard deviations of second differences: what is farther from its neighbours is a false reading."""
+LEVEL = 5
+"""Readings on each side that show a level: its shift is a jump, and a step that differs from it may be false."""
 
 
 def any_of_row(mask: Array) -> Array:

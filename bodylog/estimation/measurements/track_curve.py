@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from ...types import Array
-from .long_arrays import BREAK, FEWEST, any_of_row, median, median_step, noise_variance
+from .long_arrays import FEWEST, any_of_row, median, median_step, noise_variance
 from .long_arrays import seen as seen_rows
 from .records import Encoders, Sighting
 from .timeline import spans
@@ -15,6 +15,9 @@ MOST = 600
 """Most means, evenly spread."""
 BEND = 8.0
 """s between knots of an encoder's offset, or more for at least FEWEST means on each."""
+BLUNDER = 10.0
+"""Median residuals against neighbours beyond which a frame is left out; with 7.4 of them, the filter's gate, 9 in place
+of 10 of 12 cameras that moved by 3 px in reaches are found, as frames of fast motion are left out."""
 BLUR = 0.1
 """Share of noise in the track's speed above which frames are averaged in pairs. Without averages 13 of 36 delays are
 measured of slow sines at 30 Hz; with averages throughout, the standard error is up to 1.3 times as large."""
@@ -144,7 +147,7 @@ def _clean(seen: Sighting) -> tuple[Array, Array, Array]:
     share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
     off = np.abs(places[1:-1] - (1.0 - share) * places[:-2] - share * places[2:]).max(axis=1)
     # at either end nothing tells a false frame from a false neighbour
-    kept = np.pad(off <= BREAK * 1.4826 * median(off), 1, "edge")
+    kept = np.pad(off <= BLUNDER * median(off), 1, "edge")
     return t[kept], places[kept], np.array([median(column) for column in seen.var[shown].T])
 
 

@@ -24,6 +24,13 @@ Number = TypeVar("Number", float, Array)
 
 NEAR = 0.5
 """px: correlation length of perception's error, which has the period of the pixels."""
+EXTRAPOLATED = -3.0 / 8.0
+"""Weight of a lasting error in a filter beyond that of an independent one, on average over the time to the next frame.
+
+Extrapolated from two frames, (1 + x) e₁ − x e₀, a lasting error keeps its variance, and independent ones get 8/3 of
+theirs, which gives −5/8; from three on a line, 3/2 and −1/3; a filter remembers more or fewer. Of −5/8 to −1/4, −3/8
+brings NEES nearest to 1 in drawn explorations; with −1/3 it is up to 0.02 farther.
+"""
 
 
 def steady_variance(density: Array, process: Array, order: int) -> Array:
@@ -80,12 +87,10 @@ class ErrorCorrelation:
     def times(self, count: Number, like: Number) -> Number:
         """Factor on the variance of a frame that counts as one of `count`; `like`: correlation with the last.
 
-        On average over the time between frames, a lasting error keeps its variance. Independent ones get 2/3 of theirs
-        between two frames, (1 − x) e₀ + x e₁, and 3/2 on a line beyond the last of three, ⅓ + ½ (1 + x)²; a line
-        through two, 8/3, makes NEES of a filter as far from 1 as none.
+        Interpolated between two frames, (1 − x) e₀ + x e₁, a lasting error keeps its variance, and independent ones get
+        2/3 of theirs, so that in a smoother it weighs ½ more.
         """
-        lasting = 3.0 / 2.0 if self.whole else 2.0 / 3.0
-        return 2.0 * count - 1.0 + (lasting - 1.0) * like / count
+        return 2.0 * count - 1.0 + (0.5 if self.whole else EXTRAPOLATED) * like / count
 
 
 def reach(model: ForwardModel) -> Array:

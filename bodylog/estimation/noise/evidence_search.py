@@ -18,7 +18,7 @@ from ..measurements.long_arrays import median_step, seen
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import timeline
 from .correlated_noise import steady_variance
-from .encoder_evidence import STATES
+from .encoder_evidence import SKIP
 from .encoder_noise import INSTANTS, averaged, floor, followable, per_average
 from .noise_model import NoiseModel
 from .smoother_process import least, side_by_side
@@ -39,7 +39,7 @@ def with_preferred_order(problem: Problem) -> Problem:
     """
     encoders, precision, learned = problem.evidence.encoders, problem.precision, problem.precision.learned
     unread = problem.posture_prior is not None
-    if encoders is None or learned is None or unread or (np.isfinite(encoders.values).sum(axis=0) <= STATES).any():
+    if encoders is None or learned is None or unread or (np.isfinite(encoders.values).sum(axis=0) <= SKIP).any():
         return problem
     lasting = bool(left_open(problem.timeline.t, problem.evidence).any())
     if not lasting and silent(problem.timeline.t, encoders).any():
@@ -62,7 +62,7 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     """
     log = middle(determined(replace(problem, precision=replace(problem.precision, fewer={}))))
     part = thinned(log)
-    names = [s.name for s in part.evidence.sightings if s.name != "touch" and seen(s.values).sum() > STATES]
+    names = [s.name for s in part.evidence.sightings if s.name != "touch" and seen(s.values).sum() > SKIP]
     if not names and not whole:
         return problem.precision, None
     solved = solve(part, rest=ROUGHLY)

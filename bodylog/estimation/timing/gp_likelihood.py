@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ...types import Array
-from ..measurements.long_arrays import BREAK, FEWEST, median
+from ..measurements.long_arrays import FEWEST, median
 from ..measurements.records import Encoders, Sighting
-from ..measurements.track_curve import Curve, interpolated, track_curve
+from ..measurements.track_curve import BLUNDER, Curve, interpolated, track_curve
 from .regression import FARTHEST, ROUNDS, STILL, Delay
 
 MOST = 400
@@ -50,7 +50,7 @@ def _sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, fl
     if sound.sum() < FEWEST:
         return 0.0, 0.0
     # positions far from the learned mean are blunders, too
-    rows = np.flatnonzero(sound & (off <= BREAK * 1.4826 * median(off[sound])))
+    rows = np.flatnonzero(sound & (off <= BLUNDER * median(off[sound])))
     noise = curve.noise + np.einsum("bdm,bm->bd", np.square(curve.jac[rows]), curve.encoder[rows])
     placed, moved = (_shares(part[rows], first[rows], len(curve.t)) for part in (value, slope))
     cross, own = moved @ placed.T, moved @ moved.T
