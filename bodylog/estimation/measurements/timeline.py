@@ -12,8 +12,8 @@ from .records import Evidence
 FASTEST = 100.0
 """Hz: encoders faster than this are all used, but the output is on a grid of this rate, and noise is learned from means
 of so many a second, because a shorter stretch shows no acceleration."""
-INSTANTS, EACH = 300_000, 10.0
-"""A grid of more instants than this, and of more per stamp than this, mostly covers silence and is refused."""
+BEYOND = 1_000_000
+"""A grid of so many more instants than there are stamps mostly covers silence and is refused."""
 APART = 25
 """Instants without an image of which one stands for all, so that few images alone do not weigh a whole log."""
 
@@ -68,11 +68,11 @@ def output_times(evidence: Evidence, rate: float | None) -> Array:
 def _check_grid(rate: float, t: Array) -> None:
     """UsageError for a grid of `rate` (Hz) with far more instants than the stamps t (N,) s."""
     count = (t[-1] - t[0]) * rate
-    if count > max(INSTANTS, EACH * len(t)):
+    if count > BEYOND + len(t):
         at = int(np.diff(t).argmax()) if len(t) > 1 else 0
         raise UsageError(
             f"rate: {rate:g} Hz found, {count:.3g} instants for {len(t)} stamps, none of these between {t[at]:.3f} and "
-            f"{t[min(at + 1, len(t) - 1)]:.3f} s; type --rate {max(INSTANTS / (t[-1] - t[0]), 1e-9):.1g} or less"
+            f"{t[min(at + 1, len(t) - 1)]:.3f} s; type --rate {max(BEYOND / (t[-1] - t[0]), 1e-9):.1g} or less"
         )
 
 
