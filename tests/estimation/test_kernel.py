@@ -29,10 +29,10 @@ class Two(ctypes.Structure):
 @pytest.mark.parametrize("array", [np.zeros(3, np.float32), np.zeros(3, int), np.zeros((3, 4)).T, np.zeros(6)[::2]])
 def test_arrays_of_another_type_or_order_are_not_taken(array):
     with pytest.raises(AssertionError):
-        kernel.run("scan", Two, n=3, a=array)
+        kernel.call("scan", Two, n=3, a=array)
 
 
 @pytest.mark.parametrize("function", ["scan", "adjoint", "evidence", "unknown"])
 def test_a_library_of_another_version_is_one_line_with_the_command(function):
     with pytest.raises(UsageError, match=r"library is of another version; type in bodylog's folder: pip install \.$"):
-        kernel.run(function, Two, n=3)
+        kernel.call(function, Two, n=3)()

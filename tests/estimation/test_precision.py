@@ -1,13 +1,11 @@
 """Variances found by evidence, against the ones the readings were drawn with."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
-from bodylog.estimation.inference.motion import grow
 from bodylog.estimation.measurements.records import Encoders
 from bodylog.estimation.methods import filtering
 from bodylog.estimation.noise import encoder_evidence, encoder_noise, evidence_search, quantisation
@@ -202,10 +200,8 @@ def test_evidence_is_that_of_a_kalman_filter(order, known):
         since = -1
         x, p = np.zeros(order), vague
         for k in range(400):
-            move = sum(np.eye(order, k=d) * dt[k] ** d / math.factorial(d) for d in range(order))
-            grown = np.zeros((order, order, 1))
-            grow(grown, order, ratio, dt[k : k + 1])
-            x, p, since = move @ x, move @ p @ move.T + grown[..., 0], since + 1
+            move, grown = (part[::3, ::3] for part in conftest.discretised(np.full(3, ratio), dt[k], order))
+            x, p, since = move @ x, move @ p @ move.T + grown, since + 1
             if fresh[k]:
                 x, p, since = np.eye(order)[0] * y[k], vague, 0
             s, nu = p[0, 0] + 1.0, y[k] - x[0]

@@ -8,7 +8,6 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 
 from bodylog.errors import UsageError
 from bodylog.estimation.inference import gauss_newton, reacquisition
-from bodylog.estimation.inference.motion import carry, grow
 from bodylog.estimation.inference.silence import smoothed
 from bodylog.estimation.inference.stationary import Stationary
 from bodylog.estimation.inference.walk import walk
@@ -62,11 +61,10 @@ def test_variances_end_at_the_usual_ones_and_begin_as_white_noise(order):
     np.testing.assert_allclose(shift, 0.0, atol=1e-12)
     steps = Stationary(np.zeros(2), VAR[order], 0.01 * PROCESS)
     move, _, noise = (part[..., 0] for part in steps.step(np.array([1e-2])))
-    free, q = np.repeat(np.eye(order)[:, :, None], 2, axis=2), np.zeros((order, order, 2))
-    carry(free, 1e-2)
-    grow(q, order, 0.01 * PROCESS, 1e-2)
-    np.testing.assert_allclose(move, free, atol=0.06)
-    np.testing.assert_allclose(noise, q, rtol=0.03)
+    free, q = discretised(0.01 * np.append(PROCESS, 1.0), 1e-2, order)
+    for joint in range(2):
+        np.testing.assert_allclose(move[..., joint], free[joint::3, joint::3], atol=0.06)
+        np.testing.assert_allclose(noise[..., joint], q[joint::3, joint::3], rtol=0.03)
 
 
 def textbook(problem, world, order, stationary):

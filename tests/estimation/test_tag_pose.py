@@ -91,8 +91,8 @@ def filtered(features, body, process, poses):
         }  # fmt: skip
         state = steps.step(state, t, y.tolist(), body.noise.encoder, frames)
         if row is None:
-            means.append(state.belief[:3, -1])
-            covs.append(state.belief[:3, :3])
+            means.append(state.z[:3])
+            covs.append(state.p[:3, :3])
     return np.array(means), np.array(covs)
 
 

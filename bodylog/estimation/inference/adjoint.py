@@ -10,7 +10,7 @@ import numpy as np
 
 from ...types import Array
 from .filter_records import Dynamics, Readings
-from .kernel import fields, run
+from .kernel import call, fields
 from .motion import EVEN
 from .scan import BLOCK, Keep, Trace, scan
 
@@ -94,14 +94,14 @@ def _back(
     (gains, weights), start = trace.back or (None, None), np.empty_like(end)
     (length, m, shared), c = readings.encoders.shape, end.shape[-1]
     length = length if smooth is None else len(smooth)
-    run(
+    call(
         "adjoint", _Adjoint, length=length, stretches=c, joints=m, rows=trace.information.shape[1],
         order=dynamics.order, offsets=dynamics.offset is not None, tiles=c // shared, even=EVEN[dynamics.order],
         width=end.shape[1], outputs=0 if cov is None else cov.shape[1], p_rows=trace.p.shape[1], dt=readings.dt,
         encoders=readings.encoders, encoder_var=readings.encoder_var, y=readings.y, jac=readings.jac,
         move=None if readings.moves is None else readings.moves[0], information=trace.information, gains=gains,
         weights=weights, z=trace.z, p=trace.p, reset=readings.reset, end=end, start=start, smooth=smooth, cov=cov,
-    )  # fmt: skip
+    )()  # fmt: skip
     return start
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from ...types import Array
 from .filter_records import Readings
 from .folds import Fold
-from .motion import moves
+from .stationary import moves
 
 if TYPE_CHECKING:
     from .problem import Problem
@@ -22,11 +22,9 @@ def folded_readings(problem: "Problem", fold: Fold, held: Array | None = None) -
     if held is None or problem.stationary is None or not held.any():
         return found
     dt = np.diff(problem.timeline.t, prepend=problem.timeline.t[0])
-    move, shift, noise = moves(problem.dynamics, dt, held)
-    others = np.where(held, 0.0, np.nan)  # these move by dt, with the process of a candidate
-    rows, columns = others[:, None], others[:, None, None]
-    leaps = fold.fold(move + columns, np.nan), fold.fold(shift + rows, np.nan), fold.fold(noise + columns, np.nan)
-    return replace(found, moves=leaps)
+    # other joints move by dt, with the process of a candidate
+    move, shift, noise = (fold.fold(part, np.nan) for part in moves(problem.dynamics, dt, held))
+    return replace(found, moves=(move, shift, noise))
 
 
 def _forgotten(problem: "Problem", fold: Fold) -> Array | None:

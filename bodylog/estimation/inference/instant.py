@@ -1,10 +1,7 @@
-"""Tracks of one instant: linearised until the belief converges, gated, and conditioned on.
-
-A belief is one array (K,K+1): the rows of the covariance, each followed by the mean.
-"""
+"""Tracks of one instant, linearised until the belief converges."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +9,6 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from .convergence import SWEEPS
-from .gate import GATE, mahalanobis, outlier_cost, raised
 
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
 WEIGHTS /= WEIGHTS.sum()
@@ -27,19 +23,18 @@ Of 1, 3.3, 10 and 33 on 26 drawn silences of 5 s, filters have NEES 7.5, 3.4, 1.
 class Line(NamedTuple):
     """A track linearised to D rows: y (D,) = jac (D,M) x with independent variances var (D,).
 
-    nats: the outlier's cost · memory of the track.
+    memory: of the track.
     """
 
     jac: Array
     y: Array
     var: Array
     memory: LastFrame
-    nats: float = 0.0
 
 
-def errors(m: int, prior: Array, sights: Sequence[PendingFrame]) -> list[Array]:
-    """Innovations (D,) of each track in standard deviations, by the belief `prior` before the instant."""
-    x, cov, found = prior[:m, -1], prior[:m, :m], []
+def errors(x: Array, cov: Array, sights: Sequence[PendingFrame]) -> list[Array]:
+    """Innovations (D,) of each track in standard deviations, by angles x (M,) of cov (M,M) before the instant."""
+    found = []
     for sight in sights:
         mean, jac, model = sight.predicted(x)
         found.append((sight.value - mean) / np.sqrt(((jac @ cov) * jac).sum(axis=1) + sight.var + model))
@@ -47,20 +42,17 @@ def errors(m: int, prior: Array, sights: Sequence[PendingFrame]) -> list[Array]:
 
 
 def tangents(
-    m: int, prior: Array, given: Array, sights: Sequence[PendingFrame], resting: float
+    x: Array, sights: Sequence[PendingFrame], posterior: Callable[[list[Line]], Array], resting: float
 ) -> tuple[Array, list[Line]]:
     """The point (M,) where the belief converges to `resting` rad, or moves least, and the tracks' tangents there.
 
-    The search starts from the encoders' posterior `given`. The gate is the `prior`'s, so the order of senses does not
-    matter.
+    The search starts at the angles x (M,) before the instant; `posterior` gives those by all readings and lines.
     """
-    x, posterior = prior[:m, -1].copy(), given[:m, [*range(m), -1]]
-    went = last = np.zeros(m)
+    went = last = np.zeros(len(x))
     least, best = math.inf, (x, list[Line]())
     for _ in range(SWEEPS):
         lines = [_tangent(sight, x) for sight in sights]
-        rows, known, _ = _projected(posterior, [gated(line, prior) for line in lines])
-        move = posterior[:, -1] - rows[:, :-1].T @ known[:, -1] - x
+        move = posterior(lines) - x
         size = max(map(abs, move.tolist()))
         if not size >= least:
             least, best = size, (x, lines)
@@ -83,21 +75,21 @@ def _accelerated(move: Array, last: Array, went: Array) -> Array:
     return move if size == 0.0 or not went.any() else move - (turn @ move / size) * (went + turn)
 
 
-def statistical_lines(m: int, given: Array, sights: Sequence[PendingFrame]) -> tuple[Array, list[Line]]:
-    """The mean (M,) of the encoders' posterior `given`, and lines of least squared residual over it.
+def statistical_lines(m: int, z: Array, p: Array, sights: Sequence[PendingFrame]) -> list[Line]:
+    """Lines of least squared residual over the encoders' posterior of M angles: state z (K,), covariance p (K,K).
 
     The residual is a function of the belief's error, which lasts: with a Gaussian correlation over √(variance of the
     angle / of the rate), it counts √π of that, over the time between frames, as often; PERSISTENCE times more, as a
     wrong belief takes itself for a short one.
     """
-    x, (var, axes), rates = given[:m, -1], _spread(given[:m, :m]), given[m : 2 * m, m : 2 * m]
+    (var, axes), rates = _spread(p[:m, :m]), p[m : 2 * m, m : 2 * m]
     if not np.trace(rates) > 0.0:
         raise np.linalg.LinAlgError(f"rates have the variance {np.trace(rates):.3g} rad²/s²")
     # above rounding, which a rate known exactly may take below 0
     rate = max(axes[:, -1] @ rates @ axes[:, -1], np.finfo(float).eps * np.trace(rates))
     lasts = PERSISTENCE * math.sqrt(math.pi * var[-1] / rate)
     often = [1.0 / math.tanh((sight.t - sight.memory.t) / lasts) for sight in sights]
-    return x, [line_over(sight, x, given[:m, :m], one) for sight, one in zip(sights, often, strict=True)]
+    return [line_over(sight, z[:m], p[:m, :m], one) for sight, one in zip(sights, often, strict=True)]
 
 
 def _spread(cov: Array) -> tuple[Array, Array]:
@@ -123,36 +115,3 @@ def line_over(sight: PendingFrame, x: Array, cov: Array, often: float = 1.0) -> 
     middle = middle + (means - middle).sum(axis=0)
     spread, turn = np.linalg.eigh(often * np.einsum("kad,kae->de", missed, missed) + np.diag(own))
     return Line(turn.T @ slope, turn.T @ (sight.value - middle + slope @ x), spread, memory)
-
-
-def gated(line: Line, prior: Array) -> Line:
-    """The line with inflated variances if it lies outside the gate of the belief `prior`."""
-    m = line.jac.shape[1]
-    projected = line.jac @ prior[:m]
-    cross, nu = projected[:, :m] @ line.jac.T, line.y - projected[:, -1]
-    total = cross.diagonal() + line.var
-    d2, size = mahalanobis(nu.tolist(), total.tolist(), cross.tolist())
-    if not d2 > GATE * GATE:
-        return line
-    var = raised(line.var, total, np.array(d2))
-    inflated, whole = mahalanobis(nu, total + (var - line.var), cross)
-    return line._replace(var=var, nats=float(outlier_cost(np.array(d2), inflated, np.log(whole / size))))
-
-
-def condition(belief: Array, lines: Sequence[Line]) -> float:
-    """Condition a belief (K,K+1), in place, on lines; their nats."""
-    rows, known, s = _projected(belief, lines)
-    belief -= rows[:, :-1].T @ known
-    own = sum(line.nats for line in lines)
-    return 0.5 * float(rows[:, -1] @ known[:, -1] + np.linalg.slogdet(2.0 * math.pi * s)[1]) + own
-
-
-def _projected(belief: Array, lines: Sequence[Line]) -> tuple[Array, Array, Array]:
-    """H P, followed by the predictions less the readings, (R,K+1); the same over their covariance; that (R,R)."""
-    jac, y, var = (p[0] if len(p) == 1 else np.concatenate(p) for p in zip(*(line[:3] for line in lines), strict=True))
-    m = jac.shape[1]
-    rows = jac @ belief[:m]
-    rows[:, -1] -= y
-    s = rows[:, :m] @ jac.T
-    np.einsum("rr->r", s)[:] += var
-    return rows, np.linalg.solve(s, rows), s

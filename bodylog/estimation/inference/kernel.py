@@ -1,6 +1,7 @@
 """The compiled library of the engine: `setup.py` builds it from the C files of `estimation/`, and ctypes calls it."""
 
 import ctypes
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,18 +31,23 @@ def fields(integers: str, numbers: str, arrays: str) -> list[tuple[str, Any]]:
     return [(name, kind) for names, kind in kinds for name in names.split()]
 
 
-def run(function: str, record: type[ctypes.Structure], **values: Any) -> None:
-    """Call a function with a struct: numbers, and arrays of float64 or bool in C's order, or None.
+def call(function: str, record: type[ctypes.Structure], **values: Any) -> Callable[[], None]:
+    """A call of a function with a struct: numbers, and arrays of float64 or bool in C's order, or None.
 
-    MemoryError where it finds no room.
+    Arrays are read and written where they are, at each call. MemoryError where it finds no room.
     """
     given = record(**{name: _address(part) if isinstance(part, np.ndarray) else part for name, part in values.items()})
-    known = getattr(library(), function, None)
-    failed = known(ctypes.byref(given), ctypes.c_int64(ctypes.sizeof(record))) if known else 2
-    if failed == 1:
-        raise MemoryError(f"{function} finds no room for a stretch of the log")
-    if failed:
-        raise _unusable("is of another version")
+    given.arrays = values  # they live as long as the struct
+    known, size = getattr(library(), function, None), ctypes.c_int64(ctypes.sizeof(record))
+
+    def called() -> None:
+        failed = known(ctypes.byref(given), size) if known else 2
+        if failed == 1:
+            raise MemoryError(f"{function} finds no room for a stretch of the log")
+        if failed:
+            raise _unusable("is of another version")
+
+    return called
 
 
 def _address(array: Array) -> int:

@@ -15,7 +15,6 @@ from ...wording import listed
 from ..measurements.records import Encoders, Evidence
 from ..noise.correlated_noise import PendingFrame
 from .gate import GATE
-from .motion import carry
 
 START_STD = (1.0, 1.0, 3.0)
 """rad, rad/s, rad/s²: prior standard deviations of joints before the first reading."""
@@ -29,40 +28,37 @@ A live filter's readings may be as late: they come before their encoder counts a
 
 
 def reacquired(
-    t: float, dt: float, ages: Array, belief: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame],
+    t: float, ages: Array, z: Array, p: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame],
     now: bool, order: int,
 ) -> tuple[Array | None, Array]:  # fmt: skip
-    """Joints (M,) bool that a belief (K,K+1) has lost by t (s), reset in place, or None; encoders that confirm it.
+    """Joints (M,) bool that a belief z (K,), p (K,K) has lost by t (s), or None; encoders (M,) bool that confirm it.
 
-    dt (s): since the last instant · ages (M,) s: since each encoder confirmed the belief · readings (M,), NaN where
-    silent, with variances var · seen: last frame of each track; `now`: there are further ones · order: the motion's. A
-    joint is lost if its standard deviation exceeds a turn when something is measured.
+    ages (M,) s: since each encoder confirmed the belief · readings (M,), NaN where silent, with variances var · seen:
+    last frame of each track; `now`: there are further ones · order: the motion's. A joint is lost if its standard
+    deviation exceeds a turn when something is measured.
     """
     present, m = np.isfinite(readings), len(readings)
-    lost, confirmed = (belief.diagonal()[:m] > math.tau**2) & (present | now), present & (ages <= SILENCE)
+    lost, confirmed = (p.diagonal()[:m] > math.tau**2) & (present | now), present & (ages <= SILENCE)
     if not lost.any():
-        lost, confirmed = _lost(t, ages > SILENCE, belief, readings, var, seen, order)
-    if lost.any():
-        forget(belief[:, -1], belief[:, :-1], lost, readings, dt, order)
+        lost, confirmed = _lost(t, ages > SILENCE, z, p, readings, var, seen, order)
     return lost if lost.any() else None, confirmed
 
 
 def _lost(
-    t: float, mute: Array, belief: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame], order: int
+    t: float, mute: Array, z: Array, p: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame], order: int
 ) -> tuple[Array, Array]:
     """Joints (M,) bool that the belief has lost, and encoders that confirm it, after some were `mute` (M,) for long.
 
     The belief is lost if a wide prior for these joints makes all readings likelier, and the images agree with that.
     """
-    z, p, m, present = belief[:, -1], belief[:, :-1], len(readings), np.isfinite(readings)
+    m, present = len(readings), np.isfinite(readings)
     # a wide belief follows a reading, so the reading does not confirm it
     tested = present & mute & (np.diagonal(p)[:m] < (SURE * START_STD[0]) ** 2)
     if not tested.any():
         return tested, present & ~mute
     rows = np.eye(m, len(z)) + np.eye(m, len(z), order * m)
     h, nu, noise = rows[present], (readings - rows @ z)[present], np.diag(var[present])
-    x, cov = z.copy(), p.copy()
-    forget(x, cov, mute, readings, 0.0, order)
+    x, cov = _forgotten(z, p, mute, readings, order)
     total = h @ cov @ h.T + noise
     # encoders that were not mute still contradict the reset belief
     if _nats((readings - rows @ x)[present], total) >= _nats(nu, h @ p @ h.T + noise):
@@ -113,23 +109,15 @@ def named(names: tuple[str, ...], t: Array, reset: Array) -> Iterator[Finding]:
         yield Finding("warning", f"{text} are wrong")
 
 
-def forget(z: Array, p: Array, joints: Array, readings: Array, dt: Array | float, order: int = 2) -> None:
-    """Reset `joints` (M,…) of z (K,…) and p (K,K,…), in place, to the prior and the one reading.
-
-    Their angles start at `readings`; where that is NaN, at the angle a step dt (…) s before. order: the motion's.
-    """
-    m = len(joints)
-    gone = np.zeros(z.shape, bool)
-    gone[: order * m] = np.concatenate([joints] * order)
-    p *= ~(gone[:, None] | gone[None])
-    for state, std in enumerate(START_STD[:order]):
-        own = slice(state * m, state * m + m)
-        np.einsum("kk...->k...", p)[own] += std**2 * joints
-    offset = z[order * m :] if len(z) > order * m else 0.0
-    before = z[: order * m].reshape(order, *z[:m].shape).copy()
-    carry(before, -dt)
-    z[:m] = np.where(joints, np.where(np.isfinite(readings), readings - offset, before[0]), z[:m])
-    z[m : order * m] *= ~gone[m : order * m]
+def _forgotten(z: Array, p: Array, joints: Array, readings: Array, order: int) -> tuple[Array, Array]:
+    """A belief z (K,), p (K,K) of which `joints` (M,) bool restart from the prior, at their readings if any."""
+    m, known = len(joints), joints & np.isfinite(readings)
+    gone = np.concatenate([*[joints] * order, np.zeros(len(z) - order * m, bool)])
+    p = p * ~(gone[:, None] | gone)
+    p[gone, gone] = np.repeat(np.square(START_STD[:order]), joints.sum())
+    z, offset = np.where(gone & (np.arange(len(z)) >= m), 0.0, z), z[order * m :] if len(z) > order * m else 0.0
+    z[:m] = np.where(known, readings - offset, z[:m])
+    return z, p
 
 
 def _nats(nu: Array, s: Array) -> float:

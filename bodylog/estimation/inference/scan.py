@@ -4,6 +4,7 @@ State z (K,C) = joint angles, rates[, accelerations][, encoder offsets]; the las
 """
 
 import ctypes
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -13,7 +14,7 @@ from ...types import Array
 from .convergence import SETTLED, far
 from .filter_records import Dynamics, Readings
 from .gate import FLAT, GATE
-from .kernel import fields, run
+from .kernel import call, fields
 from .reacquisition import START_STD
 
 BLOCK = 512
@@ -85,14 +86,21 @@ def scan(
     variances. Only every `every`-th stretch keeps more than nats. `into`: a trace of the same shape to overwrite, as
     fresh memory costs as much as the arithmetic.
     """
+    trace = into or empty(readings, dynamics, z.shape[1], every, keep)
+    prepared(readings, dynamics, z, p, trace, every)()
+    return trace
+
+
+def prepared(
+    readings: Readings, dynamics: Dynamics, z: Array, p: Array, trace: Trace, every: int = 1
+) -> Callable[[], None]:  # fmt: skip
+    """The filter as a call that reads and writes these arrays."""
     (length, m, shared), c = readings.encoders.shape, z.shape[1]
     _, tracks, rows, _ = readings.y.shape
-    sizes = m, m if dynamics.drift is None else 2 * m, len(z), m + tracks * rows
-    trace = into or _empty(length, sizes, c, -(-c // every), keep)
     move, shift, noise = readings.moves or (None, None, None)
     counted = np.ones(m, bool) if dynamics.is_prior is None else ~dynamics.is_prior
     gains, weights = trace.back or (None, None)
-    run(
+    return call(
         "scan", _Scan, length=length, stretches=c, joints=m, tracks=tracks, rows=rows, order=dynamics.order,
         offsets=dynamics.drift is not None, tiles=c // shared, every=every,
         own_processes=dynamics.process.ndim > 1, p_rows=0 if trace.p is None else trace.p.shape[1], block=BLOCK,
@@ -104,7 +112,6 @@ def scan(
         prior_cov=trace.prior_cov, z=trace.z, cov=trace.cov, p=trace.p, end_p=trace.end_p, nats=trace.nats,
         encoder_d=trace.encoder_d, information=trace.information, gains=gains, weights=weights, marks=trace.marks,
     )  # fmt: skip
-    return trace
 
 
 def restart(readings: Readings, dynamics: Dynamics, z: Array, p: Array, trace: Trace) -> None:
@@ -119,8 +126,10 @@ def restart(readings: Readings, dynamics: Dynamics, z: Array, p: Array, trace: T
             return
 
 
-def _empty(length: int, sizes: tuple[int, int, int, int], stretches: int, kept: int, keep: Keep) -> Trace:
-    m, o, k, rows = sizes
+def empty(readings: Readings, dynamics: Dynamics, stretches: int, every: int = 1, keep: Keep = Keep.BELIEFS) -> Trace:
+    """Room for the trace of so many stretches, of which every `every`-th is kept."""
+    (length, m, _), k, kept = readings.encoders.shape, dynamics.size, -(-stretches // every)
+    o, rows = m if dynamics.drift is None else 2 * m, m + readings.y.shape[1] * readings.y.shape[2]
     trace = Trace(
         np.empty((length, m, kept)), np.empty((length, m, m, kept)), np.empty((length, k, kept)),
         np.empty((length, o, o, kept)), np.empty((k, k, kept)), np.empty((length, stretches)),

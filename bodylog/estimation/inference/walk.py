@@ -136,8 +136,8 @@ def _stepped(problem: Problem, whole: bool, rest: float, fold: Fold) -> Walked:
     z, p = priors(problem, fold)
     for k, state in enumerate(_states(problem, whole, rest, len(line))):
         if (k + 1) % fold.length == 0 and k + 1 < len(line):
-            z[:, (k + 1) // fold.length], p[..., (k + 1) // fold.length] = state.belief[:, -1], state.belief[:, :-1]
-        means[k], var[k] = state.belief[:size, -1], state.belief.diagonal()[:size]
+            z[:, (k + 1) // fold.length], p[..., (k + 1) // fold.length] = state.z, state.p
+        means[k], var[k] = state.z[:size], state.p.diagonal()[:size]
         points[k] = means[k, :m] if state.point is None else state.point
         read[k] = state.t > line[0] + SILENCE and min(state.borne) == state.t
         if state.held is not None:

@@ -117,9 +117,9 @@ class Estimator:
         return PendingFrame(self._inputs.models[name], t, place, scale * var, self._like[name], LastFrame())
 
     def _belief(self, now: State, nats: float, errors: Mapping[str, Array], lost: Array | None = None) -> Belief:
-        m, z = len(self._body.joints), now.belief[:, -1].copy()
+        m, z = len(self._body.joints), now.z.copy()
         first = self._noise.order * m
-        cov = self._stated * now.belief[:m, :m] if now.held is None else self._noise.of(now.belief[:m, :m], now.held)
+        cov = self._stated * now.p[:m, :m] if now.held is None else self._noise.of(now.p[:m, :m], now.held)
         return Belief(now.t, z[:m], z[m : 2 * m], cov, nats, errors, z[first:] if len(z) > first else None, lost)
 
     def _begin(self, readings: Sequence[Array]) -> ReplayBuffer:

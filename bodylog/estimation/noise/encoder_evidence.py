@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import wrightomega
 
 from ...types import Array
-from ..inference.kernel import fields, run
+from ..inference.kernel import call, fields
 
 SKIP = 10
 """Readings that do not count at the start, as a vague start costs white jerk more, nor after a restart, which may be at
@@ -35,11 +35,11 @@ def evidence(
     # over a reading's variance: a restart knows nothing, and half of the digits are left
     vague = np.finfo(float).eps ** -0.5
     squares, logs, lag = np.empty((3, len(ratios)))
-    run(
+    call(
         "evidence", _Evidence, length=len(t), ratios=len(ratios), order=order, vague=vague,
         usual=float(np.median(dt[dt > 0.0])), dt=dt, y=np.ascontiguousarray(y), ratio=np.ascontiguousarray(ratios),
         fresh=fresh, counts=counts, squares=squares, logs=logs, lag=lag,
-    )  # fmt: skip
+    )()  # fmt: skip
     n, prior, squares = counts.sum(), np.log(usual), np.maximum(squares, np.finfo(float).tiny)
     # the logarithm u of greatest −½ (n u + squares e^(−u) + ½ (u − prior)²)
     log = prior - n + wrightomega(np.log(squares) + n - prior) if known is None else np.full(len(ratios), np.log(known))
