@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import factorial
 
 from bodylog.estimation import estimate
 from bodylog.estimation.measurements.records import Encoders
@@ -194,13 +195,15 @@ def test_evidence_is_that_of_a_kalman_filter(order, known):
     usual = 3e-4
     score, noise, _ = encoder_evidence.evidence(t, y, fresh, ratios, usual, order, known)
     dt = np.diff(t, prepend=t[0])
-    vague = np.diag(1e8 / np.median(dt[1:]) ** (2.0 * np.arange(order)))
+    left, vague = np.arange(order)[::-1], np.diag(1e8 / np.median(dt[1:]) ** (2.0 * np.arange(order)))
     for index, ratio in enumerate(ratios):
         squares = logs = count = 0.0
         since = -1
         x, p = np.zeros(order), vague
         for k in range(400):
-            move, grown = (part[::3, ::3] for part in conftest.discretised(np.full(3, ratio), dt[k], order))
+            powers = dt[k] ** left / factorial(left)
+            move = sum(np.eye(order, k=d) * powers[order - 1 - d] for d in range(order))
+            grown = ratio * dt[k] * np.outer(powers, powers) / (np.add.outer(left, left) + 1.0)
             x, p, since = move @ x, move @ p @ move.T + grown, since + 1
             if fresh[k]:
                 x, p, since = np.eye(order)[0] * y[k], vague, 0

@@ -3,7 +3,7 @@
 #include "motion.h"
 
 struct adjoint {
-    int64_t length, stretches, joints, rows, order, offsets, tiles, even, width, outputs, p_rows;
+    int64_t length, stretches, joints, rows, order, offsets, tiles, width, outputs, p_rows;
     const double *dt, *encoders, *encoder_var, *y, *jac, *move, *information, *gains, *weights, *z, *p;
     const uint8_t *reset;
     const double *end;
@@ -242,7 +242,7 @@ static void back_over(struct back *b)
         undo_motion(b, i, b->known, width, 1, width);
         if (square)
             undo_motion(b, i, b->known, k, width, 1);
-        for (int64_t a = 0; square && i % s->even == 0 && a < k; a++)
+        for (int64_t a = 0; square && a < k; a++)
             for (int64_t l = 0; l < a; l++)
                 b->known[a * width + l] = b->known[l * width + a] =
                     0.5 * (b->known[a * width + l] + b->known[l * width + a]);

@@ -11,13 +11,12 @@ import numpy as np
 from ...types import Array
 from .filter_records import Dynamics, Readings
 from .kernel import call, fields
-from .motion import EVEN
 from .scan import BLOCK, Keep, Trace, scan
 
 
 class _Adjoint(ctypes.Structure):
     _fields_ = fields(
-        "length stretches joints rows order offsets tiles even width outputs p_rows",
+        "length stretches joints rows order offsets tiles width outputs p_rows",
         "",
         "dt encoders encoder_var y jac move information gains weights z p reset end start smooth cov",
     )
@@ -96,7 +95,7 @@ def _back(
     length = length if smooth is None else len(smooth)
     call(
         "adjoint", _Adjoint, length=length, stretches=c, joints=m, rows=trace.information.shape[1],
-        order=dynamics.order, offsets=dynamics.offset is not None, tiles=c // shared, even=EVEN[dynamics.order],
+        order=dynamics.order, offsets=dynamics.offset is not None, tiles=c // shared,
         width=end.shape[1], outputs=0 if cov is None else cov.shape[1], p_rows=trace.p.shape[1], dt=readings.dt,
         encoders=readings.encoders, encoder_var=readings.encoder_var, y=readings.y, jac=readings.jac,
         move=None if readings.moves is None else readings.moves[0], information=trace.information, gains=gains,

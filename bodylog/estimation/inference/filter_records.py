@@ -35,6 +35,24 @@ class Dynamics:
         """Index of the first encoder offset in the state; None without offsets."""
         return None if self.drift is None else self.order * len(self.process)
 
+    def moves(self, dt: Array, held: Array) -> tuple[Array, Array, Array]:
+        """Move (E,S,S,M), shift (E,S,M) and noise (E,S,S,M) of joints held (E,M) for dt (E,) s: a stationary process.
+
+        The move of other joints is NaN.
+        """
+        assert self.stationary is not None
+        m, order, some = len(self.process), self.order, np.flatnonzero(held.any(axis=1))
+        states = self.size // m
+        move, noise = np.zeros((2, len(dt), states, states, m))
+        shift = np.zeros((*move.shape[:-2], m))
+        parts = move[:, :order, :order], shift[:, :order], noise[:, :order, :order]
+        for whole, step in zip(parts, self.stationary.step(dt[some]), strict=True):
+            whole[some] = np.moveaxis(step, -1, 0)
+        if self.drift is not None:
+            move[:, order, order], noise[:, order, order] = 1.0, self.drift * dt[:, None]
+        np.moveaxis(move, -1, 1)[~held] = np.nan
+        return move, shift, noise
+
 
 @dataclass(frozen=True, eq=False)
 class Readings:

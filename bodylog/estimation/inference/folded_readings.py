@@ -8,7 +8,6 @@ import numpy as np
 from ...types import Array
 from .filter_records import Readings
 from .folds import Fold
-from .stationary import moves
 
 if TYPE_CHECKING:
     from .problem import Problem
@@ -23,7 +22,7 @@ def folded_readings(problem: "Problem", fold: Fold, held: Array | None = None) -
         return found
     dt = np.diff(problem.timeline.t, prepend=problem.timeline.t[0])
     # other joints move by dt, with the process of a candidate
-    move, shift, noise = (fold.fold(part, np.nan) for part in moves(problem.dynamics, dt, held))
+    move, shift, noise = (fold.fold(part, np.nan) for part in problem.dynamics.moves(dt, held))
     return replace(found, moves=(move, shift, noise))
 
 

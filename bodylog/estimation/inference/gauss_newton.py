@@ -8,7 +8,7 @@ linearisation points nor the starts move: the fixed point is the sequential filt
 import numpy as np
 
 from ...types import Array
-from .convergence import RESTING, SETTLED, SWEEPS, DidNotConverge, far, sure
+from .convergence import SETTLED, SWEEPS, DidNotConverge, far, sure
 from .folded_readings import folded_readings
 from .folds import Fold, fold_for
 from .initial_path import handed_over, initial_tangents, starts
@@ -25,7 +25,7 @@ def solve(problem: Problem, warm: Solution | None = None, at: str = "posterior",
     """
     fold = fold_for(len(problem.timeline.t))
     tangents, z, p = initial_sweep(problem, fold, warm)
-    tangents.resting, tangents.whole = RESTING * rest, False
+    tangents.resting, tangents.whole = rest, False
     readings, trace, move = folded_readings(problem, fold), None, np.inf
     tangents.write(problem, fold, readings)
     for _ in range(SWEEPS):

@@ -11,7 +11,7 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import PendingFrame
 from ..noise.posture_prior import PosturePrior
-from .convergence import RESTING, SETTLED
+from .convergence import SETTLED
 from .filter_records import Dynamics
 from .gate import GATE
 from .initial_path import prior_of
@@ -45,7 +45,7 @@ class State:
 
 
 class SequentialFilter:
-    """Steps from an instant to the next, with frames linearised until the belief moves less than `rest` of its std."""
+    """Steps from an instant to the next, with frames linearised until their point moves less than `rest` (rad)."""
 
     def __init__(self, dynamics: Dynamics, posture: PosturePrior | None, rest: float = SETTLED) -> None:
         """Dynamics, and the posture prior of joints without an encoder."""
@@ -112,8 +112,7 @@ class SequentialFilter:
             after.point, lines = encoded.z[:m], statistical_lines(m, encoded.z, encoded.p, sights)
             after.lines = dict(zip(frames, lines, strict=True))
         else:
-            rest = RESTING * self._rest
-            after.point, lines = tangents(encoded.x, sights, lambda lines: given(lines=lines).z[:m], rest)
+            after.point, lines = tangents(encoded.x, sights, lambda lines: given(lines=lines).z[:m], self._rest)
         memories = (replace(sight, memory=line.memory) for sight, line in zip(sights, lines, strict=True))
         after.seen = {**seen, **dict(zip(frames, memories, strict=True))}
         return given(lines=lines)

@@ -6,14 +6,9 @@ d = q / 2(v₂ − v₁²/v₀), or x″ = −(v₁/v₀) x − (q/2v₁) x′ +
 acceleration.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...types import Array
-
-if TYPE_CHECKING:
-    from .filter_records import Dynamics
 
 
 class Stationary:
@@ -42,22 +37,3 @@ class Stationary:
         shift = -move[:, 0] * mean
         shift[0] += mean
         return move, shift, 0.5 * (noise + noise.swapaxes(0, 1))
-
-
-def moves(dynamics: "Dynamics", dt: Array, held: Array) -> tuple[Array, Array, Array]:
-    """Move (E,S,S,M), shift (E,S,M) and noise (E,S,S,M) within dt (E,) s of joints held (E,M) as a stationary process.
-
-    The move of other joints is NaN.
-    """
-    assert dynamics.stationary is not None
-    m, order, some = len(dynamics.process), dynamics.order, np.flatnonzero(held.any(axis=1))
-    states = dynamics.size // m
-    move, noise = np.zeros((2, len(dt), states, states, m))
-    shift = np.zeros((*move.shape[:-2], m))
-    parts = move[:, :order, :order], shift[:, :order], noise[:, :order, :order]
-    for whole, step in zip(parts, dynamics.stationary.step(dt[some]), strict=True):
-        whole[some] = np.moveaxis(step, -1, 0)
-    if dynamics.drift is not None:
-        move[:, order, order], noise[:, order, order] = 1.0, dynamics.drift * dt[:, None]
-    np.moveaxis(move, -1, 1)[~held] = np.nan
-    return move, shift, noise

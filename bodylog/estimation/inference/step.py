@@ -9,7 +9,6 @@ from ...types import Array
 from .filter_records import Dynamics, Readings
 from .instant import Line
 from .scan import empty, prepared
-from .stationary import moves
 
 
 class Stepped(NamedTuple):
@@ -59,7 +58,7 @@ class Step:
         self._lost[0, :, 0], self._more[0, :, 0] = False if lost is None else lost, 1.0 if more is None else more
         self._leaps[0][:] = np.nan
         if held is not None and self._dynamics.stationary is not None:
-            for part, found in zip(self._leaps, moves(self._dynamics, np.array([dt]), held[None]), strict=True):
+            for part, found in zip(self._leaps, self._dynamics.moves(np.array([dt]), held[None]), strict=True):
                 part[..., 0] = found
         to.y[:], to.jac[:], to.var[:] = np.nan, 0.0, 1.0
         for track, line in enumerate(lines):
