@@ -269,7 +269,7 @@ def explored(world) -> BodyModel:
 
 @pytest.mark.parametrize("senses", [("vision",), ("pan", "vision"), ("lift", "elbow", "vision")])
 def test_estimator_runs_without_some_or_all_encoders(world, senses):
-    drawn, body = world(6, duration=6.0), explored(world)
+    drawn, body = world(7, duration=6.0), explored(world)
     body = replace(body, noise=replace(body.noise, encoder=(0.02**2,) * 3, process=(0.3,) * 3))
     order = [drawn.features.joints.names.index(name) for name in body.joints]
     start = tuple(drawn.features.joints.values[0, order])

@@ -12,9 +12,6 @@ from ..inference.stationary import Stationary
 from ..measurements.records import Evidence
 from .noise_model import NoiseModel
 
-WIDER = 2.0
-"""Prior standard deviation of a joint, in standard deviations of the explored angles."""
-
 
 @dataclass(frozen=True, eq=False)
 class PosturePrior:
@@ -46,14 +43,14 @@ def prior_of(
 ) -> PosturePrior | None:  # fmt: skip
     """The prior of the `silent` joints (M,) bool; None if there are none or no model has samples.
 
-    The density of pseudo-readings is such that a filter's `steady_variance` equals the widened variance of the explored
-    angles. The mean is that of the explored angles, or the start if only touch was measured.
+    The density of pseudo-readings is such that a filter's `steady_variance` equals the variance of the explored angles.
+    The mean is that of the explored angles, or the start if only touch was measured.
     """
     known = _explored(models)
     if not silent.any() or known is None:
         return None
     (mean, std), seen, power = known, any(name != "touch" for name in models), 1.0 / (2 * order)
-    density = (np.square(WIDER * std) * np.sin(np.pi * power) / process**power) ** (1.0 / (1.0 - power))
+    density = (np.square(std) * np.sin(np.pi * power) / process**power) ** (1.0 / (1.0 - power))
     silent = silent & (density > 0)
     return PosturePrior(silent, mean if seen else start, density) if silent.any() else None
 
