@@ -6,13 +6,11 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Features, Series, Synchrony
+from ..faults.threshold import NATS
 from .contract import Measured, health
 from .long_arrays import seen as rows_seen
 from .records import Sighting
 from .track import ascending
-
-COUNTS = 1e-3
-"""A touch with less weight, a thousandth of a synchronous one, is used but not counted as used."""
 
 
 def read(features: Features, body: BodyModel) -> Mapping[str, Measured]:
@@ -20,7 +18,7 @@ def read(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     if "effector" not in body.senses:
         return {}
     (found, count), seen = sightings(features, body), len(features.touches or ())
-    paired = sum(bool(np.isfinite(pair.delay)) and pair.weight <= COUNTS for pair in features.synchrony)
+    paired = sum(bool(np.isfinite(pair.delay)) and not synchronous(pair) for pair in features.synchrony)
     reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
     return {"touch": Measured(found, health(seen, count, reasons))}
 
@@ -43,10 +41,15 @@ def sightings(features: Features, body: BodyModel) -> tuple[Sighting, int]:
             u, v, spread = _place(body, touches[pair.touch].strongest)
             places[during] = hand.values[during] - (u, v)
             variance[during] = spread / pair.weight * during.sum()
-            count += pair.weight > COUNTS
+            count += synchronous(pair)
     kept = rows_seen(places)
     found = (hand.t[kept], places[kept], variance[kept], hand.source_ns[kept])
     return Sighting("touch", body.senses["effector"], *found), count
+
+
+def synchronous(pair: Synchrony) -> bool:
+    """Whether a touch counts as used: its weight is the likelihood of its delay, over that of none."""
+    return bool(pair.weight > np.exp(-NATS))
 
 
 def has_weight(pair: Synchrony) -> bool:
