@@ -45,7 +45,7 @@ def test_printed_model_equals_estimation(known, signals, integration):
     start = np.array([0.1, -0.1, 0.05])
     senses = (Sense("encoders", signals.encoders, None, np.ones((STEPS, 3)), printed=True),
               Sense("effector", signals.place / WIDTH, gp, np.full((STEPS, 2), 5.0), WIDTH, True))  # fmt: skip
-    plan = Plan(senses, None, signals.t, DT, np.ones(3), start, np.zeros(3))
+    plan = Plan(senses, None, signals.t, DT, np.ones(3), start, np.zeros(3), start[None])
     theirs = {"printed": algorithm.explicitly, "implicit": algorithm.implicitly}[integration](plan)[0]
     model = Map(gp.centres, gp.scales[0], gp.amplitude[0] * gp.weights.T, gp.mean, known.scatter)
     mine = believed(signals, [Case(model, (True,) * 3, True, WIDTH, integration, start, start)]).x[0]

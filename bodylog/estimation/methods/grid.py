@@ -51,8 +51,8 @@ class Sense:
 class Plan:
     """What to integrate: senses, touch as printed, grid t (N,) s, Δt s, σ_x (M,), start (M,).
 
-    moved (M,) rad²: variance of the motion until the next reading · learning: λ, 1/s, the rate at which the prior
-    follows the belief; 1 is the paper's.
+    moved (M,) rad²: variance of the motion until the next reading · postures (P,M) rad: the start, and all readings ·
+    learning: λ, 1/s, the rate at which the prior follows the belief; 1 is the paper's.
     """
 
     senses: tuple[Sense, ...]
@@ -62,6 +62,7 @@ class Plan:
     sigma_x: Array
     start: Array
     moved: Array
+    postures: Array
     learning: float = 1.0
 
     @property
@@ -105,7 +106,10 @@ def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple
     touch = literal(features, body, t, 1.0 / rate) if felt else None
     learning = Plan.learning if settings.lambda_ is None else settings.lambda_
     first = start(evidence, settings, body.joints)
-    return Plan(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, moved, learning), evidence, line
+    angles = encoders is not None and encoders.model is None
+    read = evidence.encoders.values if evidence.encoders is not None and angles else first[None]
+    postures = np.concatenate([first[None], read[np.isfinite(read).all(axis=1)]])
+    return Plan(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, moved, postures, learning), evidence, line
 
 
 def _encoders(found: Encoders, body: BodyModel, t: Array, variance: Array, printed: bool) -> Sense:

@@ -17,8 +17,6 @@ from ..measurements.records import Evidence
 from . import results
 from .grid import GAINS, Plan, at_instants, plan_for
 
-POSTURES, MARGIN = 16, 0.8
-"""Postures of the log at which stability is checked, and the share of the largest stable Δt that is recommended."""
 FAR = 100.0
 """rad: a belief beyond this has diverged."""
 
@@ -100,11 +98,11 @@ def step_warning(plan: Plan) -> tuple[Finding, ...]:
     """A finding if Δt exceeds the stable step of Algorithm 1, with the slowest stable rate."""
     if plan.dt <= stable_step(plan):
         return ()
-    # a learned σ_x is smaller on a finer grid, and the arm passes between the postures looked at
+    # a learned σ_x is smaller on a finer grid
     if plan.encoders is not None and not plan.encoders.printed:
         least = plan.encoders.sigma.min(axis=0) * GAINS[0] / (1.0 - GAINS[0])
         plan = replace(plan, sigma_x=np.minimum(plan.sigma_x, least))
-    rate = 1.0 / (MARGIN * stable_step(plan))
+    rate = 1.0 / stable_step(plan)
     unit = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
     rate = float(np.ceil(rate / unit) * unit)  # rounded up to two digits
     text = f"explicit with Δt {plan.dt:g} s is unstable, the largest stable Δt is {1.0 / rate:.2g} s"
@@ -121,24 +119,18 @@ def _without_encoders(plan: Plan, evidence: Evidence, names: tuple[str, ...]) ->
 
 
 def stable_step(plan: Plan) -> float:
-    """Largest Δt (s) for which one explicit step shrinks every mode, linearised at postures of the log's encoders."""
-    postures, sense = [plan.start], plan.encoders
-    if sense is not None and sense.model is None:
-        readings = sense.s[np.isfinite(sense.s).all(axis=1)]
-        postures += list(readings[np.linspace(0, len(readings) - 1, min(POSTURES, len(readings))).astype(int)])
-    return min(_stable_step_at(plan, x) for x in postures)
-
-
-def _stable_step_at(plan: Plan, x: Array) -> float:
-    """Largest Δt (s) for which one explicit step shrinks every mode of the dynamics linearised at x (M,)."""
-    _, jac, own = plan.predict(x)
-    sigma, i, o = plan.rows[1].min(axis=0) + own, np.eye(len(x)), np.zeros((len(x), len(x)))
+    """Largest Δt (s) for which one explicit step shrinks every mode, linearised at every posture of the log."""
+    predicted = [sense.predict(plan.postures) for sense in plan.senses]
+    n, m = plan.postures.shape
+    jac = np.concatenate([np.empty((n, 0, m)), *(jac for _, jac, _ in predicted)], axis=1)
+    own = np.concatenate([np.empty((n, 0)), *(var for *_, var in predicted)], axis=1)
+    sigma, i, o = plan.rows[1].min(axis=0) + own, np.eye(m) + np.zeros((n, 1, 1)), np.zeros((n, m, m))
     none = np.zeros_like(jac)
     a = np.block([  # rows and columns: x, e_x, μ, the senses' errors
-        [o, -i, o, jac.T],
-        [i, -np.diag(plan.sigma_x), -i, none.T],
-        [o, plan.learning * i, o, none.T],
-        [-jac, none, none, -np.diag(sigma)],
+        [o, -i, o, jac.swapaxes(1, 2)],
+        [i, -plan.sigma_x * i, -i, none.swapaxes(1, 2)],
+        [o, plan.learning * i, o, none.swapaxes(1, 2)],
+        [-jac, none, none, -sigma[:, None] * np.eye(sigma.shape[1])],
     ])  # fmt: skip
     modes = np.linalg.eigvals(a)
     modes = modes[modes.real < -1e-9]
