@@ -14,8 +14,6 @@ FASTEST = 100.0
 of so many a second, because a shorter stretch shows no acceleration."""
 BEYOND = 1_000_000
 """A grid of so many more instants than there are stamps mostly covers silence and is refused."""
-APART = 25
-"""Instants without an image of which one stands for all, so that few images alone do not weigh a whole log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +25,6 @@ class Timeline:
     sightings: tuple[Array, ...]
     outputs: Array
     source_ns: Array
-
-    @property
-    def sampled(self) -> Array:
-        """Instants (B,) with a frame of any sighting, and between distant ones each APART-th; all without any."""
-        seen, instants = np.unique(np.concatenate([*self.sightings, np.empty(0, int)])), np.arange(len(self.t))
-        if not len(seen):
-            return instants
-        since = instants - seen[np.maximum(np.searchsorted(seen, instants, "right") - 1, 0)]
-        return np.flatnonzero(since % APART == 0)
 
 
 def timeline(evidence: Evidence, rate: float | None) -> Timeline:

@@ -117,7 +117,7 @@ def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
     if encoders is None or len(encoders.t) < 2:
         return replace(part.precision, process=0.5 * (alone + part.precision.process))
     density = precision.encoder * median_step(encoders.t)
-    var = solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))[part.timeline.sampled]
+    var = solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))
     together = np.sqrt(var).mean(axis=0)
     unknown, white = (
         np.minimum(together**2 / steady_variance(density, process, precision.order), 1.0)

@@ -31,7 +31,7 @@ def least(part: Problem, solved: Solution) -> tuple[Array, float]:
     order = part.precision.order
     step = 2.0 ** (0.5 * order)  # moves the cut-off by 2^¼
     factors = step ** np.arange(-6.0, 5.0)
-    present = _without_gaps(part, part.timeline.t[part.timeline.sampled])
+    present = _without_gaps(part, part.timeline.t)
     moved = np.square(np.diff(_paths(part, solved, factors), axis=0))[:, present].mean(axis=1)
     # noise's share of it grows as q^(1/2n)
     noise = moved[-1] * (factors[:-1] / factors[-2])[:, None] ** (0.5 / order)
@@ -79,16 +79,16 @@ def _power(ratios: Array, step: float, order: int) -> float:
 
 
 def _paths(part: Problem, solved: Solution, factors: Array) -> Array:
-    """Smoothed angles (G,B,M) for each factor at the images, with the tangents of `solved`.
+    """Smoothed angles (G,E,M) for each factor, with the tangents of `solved`.
 
     One factor after the other, as a smoother keeps covariances of all instants.
     """
     solved.tangents.draw(part, solved.fold, solved.readings)
-    trace, paths, sampled = None, [], part.timeline.sampled
+    trace, paths = None, []
     for process in factors[:, None] * part.precision.process:
         posed = replace(part, precision=replace(part.precision, process=process, stated=_of_noise(part)))
         path, trace = _path(posed, solved, trace)
-        paths.append(path[sampled])
+        paths.append(path)
     return np.stack(paths)
 
 
