@@ -87,10 +87,7 @@ def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | N
     """The problem with process and pixel noise by the log's evidence, if the settings ask for that."""
     if settings.precision != "auto":
         return problem, None
-    try:
-        found, warm = tune(problem, whole=settings.method == "smoother")
-    except DidNotConverge:
-        return problem, None
+    found, warm = tune(problem, whole=settings.method == "smoother")
     # variances that are set replace learned ones afterwards
     return replace(problem, precision=typed.precision(found, settings, problem.evidence.joints)), warm
 

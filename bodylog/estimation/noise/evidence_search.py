@@ -8,12 +8,13 @@ import numpy as np
 
 from ...types import Array, Hypothesis
 from ..faults.threshold import NATS
-from ..inference.convergence import ROUGHLY
+from ..inference.convergence import ROUGHLY, DidNotConverge
 from ..inference.gauss_newton import solve
 from ..inference.problem import Problem
 from ..inference.reacquisition import left_open, silent
 from ..inference.scan import scan
 from ..inference.solution import Solution
+from ..inference.walk import walk
 from ..measurements.long_arrays import median_step, seen
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import timeline
@@ -65,7 +66,7 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and seen(s.values).sum() > SKIP]
     if not names and not whole:
         return problem.precision, None
-    solved = solve(part, rest=ROUGHLY)
+    solved = _solved(part)
     for half in ROUNDS if names else ():
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
@@ -90,7 +91,15 @@ def _less(problem: Problem) -> list[View]:
 def _with_view(part: Problem, view: View) -> tuple[Problem, Solution]:
     """The part with only these of its tracks, and its solution."""
     less = _measured(part, part.evidence.encoders, [s for s in part.evidence.sightings if s.name in view])
-    return less, solve(less, rest=ROUGHLY)
+    return less, _solved(less)
+
+
+def _solved(part: Problem) -> Solution:
+    """The filter's solution; instant by instant where sweeps do not converge, as after a silence."""
+    try:
+        return solve(part, rest=ROUGHLY)
+    except DidNotConverge:
+        return walk(part)
 
 
 def _of_smoother(part: Problem, solved: Solution, encoders: Encoders | None) -> NoiseModel:
