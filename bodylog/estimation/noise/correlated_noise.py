@@ -24,13 +24,6 @@ Number = TypeVar("Number", float, Array)
 
 NEAR = 0.5
 """px: correlation length of perception's error, which has the period of the pixels."""
-EXTRAPOLATED = -3.0 / 8.0
-"""Weight of a lasting error in a filter beyond that of an independent one, on average over the time to the next frame.
-
-Extrapolated from two frames, (1 + x) e₁ − x e₀, a lasting error keeps its variance, and independent ones get 8/3 of
-theirs, which gives −5/8; from three on a line, 3/2 and −1/3; a filter remembers more or fewer. Of −5/8 to −1/4, −3/8
-brings NEES nearest to 1 in drawn explorations; with −1/3 it is up to 0.02 farther.
-"""
 
 
 def steady_variance(density: Array, process: Array, order: int) -> Array:
@@ -87,10 +80,11 @@ class ErrorCorrelation:
     def times(self, count: Number, like: Number) -> Number:
         """Factor on the variance of a frame that counts as one of `count`; `like`: correlation with the last.
 
-        Interpolated between two frames, (1 − x) e₀ + x e₁, a lasting error keeps its variance, and independent ones get
-        2/3 of theirs, so that in a smoother it weighs ½ more.
+        A lasting error keeps its variance. Interpolated between two frames, (1 − x) e₀ + x e₁, independent ones get 2/3
+        of theirs, so that in a smoother it weighs ½ more. Extrapolated to the next frame by a line through three, they
+        get 3/2, so that in a filter it weighs ⅓ less.
         """
-        return 2.0 * count - 1.0 + (0.5 if self.whole else EXTRAPOLATED) * like / count
+        return 2.0 * count - 1.0 + (0.5 if self.whole else -1.0 / 3.0) * like / count
 
 
 def reach(model: ForwardModel) -> Array:
