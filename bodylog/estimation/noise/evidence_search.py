@@ -8,7 +8,7 @@ import numpy as np
 
 from ...types import Array, Hypothesis
 from ..faults.threshold import NATS
-from ..inference.convergence import ROUGHLY, DidNotConverge
+from ..inference.convergence import ROUGHLY, SWEEPS, DidNotConverge
 from ..inference.gauss_newton import solve
 from ..inference.problem import Problem
 from ..inference.reacquisition import left_open, silent
@@ -26,9 +26,6 @@ from .smoother_process import least, side_by_side
 from .visibility import View, views, visual
 
 Measured = TypeVar("Measured", Encoders, Sighting)
-
-ROUNDS = (1.2, 0.7, 0.35)
-"""Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
 
 def with_preferred_order(problem: Problem) -> Problem:
@@ -59,7 +56,8 @@ def with_preferred_order(problem: Problem) -> Problem:
 def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     """Process variances and pixel factors from (the middle of) the log, for a smoother (`whole`) or a filter.
 
-    Also the last solution as a warm start, if it covers the whole log.
+    Rounds of steps to the greatest evidence end when all are within a standard deviation of it. Also the last solution
+    as a warm start, if it covers the whole log.
     """
     log = middle(determined(replace(problem, precision=replace(problem.precision, fewer={}))))
     part = thinned(log)
@@ -67,11 +65,16 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     if not names and not whole:
         return problem.precision, None
     solved = _solved(part)
-    for half in ROUNDS if names else ():
-        logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
-        candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
+    half = np.ones(len(part.start) + len(names))
+    for _ in range(SWEEPS if names else 0):
+        logs = _logs(part, names)
+        candidates = np.concatenate([logs[None], logs + np.diag(half), logs - np.diag(half)])
         nats, solved = costs(part, solved, np.exp(candidates), names)
-        part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
+        step, std = _step(nats, half)
+        part = replace(part, precision=_with(part, np.exp(logs + step), names))
+        if (np.abs(_logs(part, names) - logs) <= std).all():
+            break
+        half = np.minimum(half, std)
     warm = solved if part.timeline is problem.timeline else None
     if whole:
         likeliest = _of_filter(problem, part, solved).process
@@ -138,6 +141,11 @@ def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
     return part.precision.held(share * alone + (1.0 - share) * part.precision.process, encoders, white)
 
 
+def _logs(part: Problem, names: list[str]) -> Array:
+    """Natural logarithms (M + tracks) of process variances, then of pixel factors."""
+    return np.asarray(np.log([*part.precision.process, *(part.precision.scale[name] for name in names)]))
+
+
 def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
     m = len(part.start)
     # correlated frames predict each other well, which is no evidence of lower pixel noise
@@ -145,15 +153,16 @@ def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
     return replace(part.precision, process=values[:m], scale={**part.precision.scale, **found})
 
 
-def _step(nats: Array, half: float) -> Array:
-    """Step to the minimum of the parabola through (−half, 0, half) along each axis, at most 2 half."""
-    count = (len(nats) - 1) // 2
-    up, down = nats[1 : 1 + count], nats[1 + count :]
+def _step(nats: Array, half: Array) -> tuple[Array, Array]:
+    """Step to the minimum of the parabola through (−half, 0, half) along each axis, at most 2 half; its std.
+
+    Where the parabola has no minimum the step is downhill, and its std is half.
+    """
+    up, down = nats[1 : 1 + len(half)], nats[1 + len(half) :]
     bend = up - 2.0 * nats[0] + down
-    downhill = np.where(up < down, 2.0 * half, -2.0 * half)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        newton = 0.5 * half * (down - up) / bend
-    return np.where(bend > 0, np.clip(newton, -2.0 * half, 2.0 * half), downhill)
+    curved = np.where(bend > 0.0, bend, 1.0)
+    step = np.where(bend > 0.0, 0.5 * half * (down - up) / curved, 2.0 * half * np.sign(down - up))
+    return np.clip(step, -2.0 * half, 2.0 * half), half / np.sqrt(curved)
 
 
 def costs(part: Problem, solved: Solution, candidates: Array, names: list[str]) -> tuple[Array, Solution]:
