@@ -11,13 +11,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ...types import Array
+from ..inference.convergence import ROUGHLY, SWEEPS
 from ..measurements.long_arrays import FEWEST, median
 from ..measurements.records import Encoders, Sighting
-from ..measurements.track_curve import BLUNDER, Curve, interpolated, track_curve
-from .regression import FARTHEST, ROUNDS, STILL, Delay
-
-MOST = 400
-"""Most means of encoder readings, evenly spread: the cost grows with their third power."""
+from ..measurements.track_curve import BLUNDER, MOST, Curve, interpolated, track_curve
+from .regression import FARTHEST, Delay
 
 Prior = Callable[[Array], tuple[Array, Array]]
 """The prior of a track at angles (B,M) rad: mean (D,) px and covariance (D,B,B) px²."""
@@ -30,7 +28,7 @@ def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prio
         if (curve := track_curve(encoders, track, MOST // len(seen))) is not None
     ]  # fmt: skip
     late = 0.0
-    for _ in range(ROUNDS):
+    for _ in range(SWEEPS):
         parts = [_sums(curve, mean, cov, late) for curve, mean, cov in curves]
         # tracks beside the same encoders have correlated errors
         pull, weight = np.sum(parts, axis=0) / len(parts) if parts else (0.0, 0.0)
@@ -38,7 +36,7 @@ def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prio
             return None
         error = weight**-0.5
         late -= float(pull / weight)
-        if abs(pull / weight) < STILL * error:
+        if abs(pull / weight) < ROUGHLY * error:
             return Delay(late, error)
     return None
 

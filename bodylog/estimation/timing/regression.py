@@ -2,26 +2,24 @@
 
 Encoder readings of one frame interval are averaged to x̄ at t and predict a position g(x̄). The track's curve y is
 there at t + τ: y(t + τ) = g(x̄) + J b(t) + e. Gauss–Newton gives τ and piecewise linear encoder offsets b. Errors that
-last longer show in a jackknife over parts of the log; the larger standard error is taken.
+last longer show in a jackknife over √N parts of N positions; the larger standard error is taken.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import isqrt
 
 import numpy as np
 
 from ...types import Array
+from ..inference.convergence import ROUGHLY, SWEEPS
 from ..measurements.long_arrays import FEWEST
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track_curve import MOST, Rows, regression_rows, track_curve
 
-PART, STEPS, PARTS = 0.5, 12.0, 40
-"""Shortest part of the jackknife in s and in steps of the curves, and the most parts."""
 FARTHEST = 1.0
 """s: largest delay."""
-ROUNDS, STILL = 12, 0.05
-"""Most rounds, and the change in standard errors that ends them."""
 TAME = 4.0
 """Squared residuals over their variance that have half weight."""
 ONE = 0.61
@@ -46,11 +44,11 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
     """The delay of one camera's tracks; None where motion is too small or too short."""
     curves = [curve for track in seen if (curve := track_curve(encoders, track, MOST // len(seen))) is not None]
     late = 0.0
-    for _ in range(ROUNDS):
-        parts = [regression_rows(curve, late) for curve in curves]
-        if sum(len(part.t) for part in parts) < FEWEST:
+    for _ in range(SWEEPS):
+        each = [regression_rows(curve, late) for curve in curves]
+        if sum(len(one.t) for one in each) < FEWEST:
             return None
-        rows = _together(parts)
+        rows = _together(each)
         if rows.misfit.size < 2 * rows.slopes.shape[-1]:
             return None
         step, weight, spread = _fitted(rows)
@@ -60,38 +58,35 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
             return None
         own = np.sqrt(spread * _variance(rows, weight[:, None] * (rows.slopes @ lean)))
         late += step
-        if abs(step) < STILL * own:
+        if abs(step) < ROUGHLY * own:
             information = np.square(rows.slopes @ lean).sum(axis=1)
             if weight @ information < ONE * information.sum():
                 return None
-            part_length = max(PART, STEPS * max(curve.step for curve in curves))
-            return _with_std_error(late, own, rows, weight, part_length)
+            parts = isqrt(min(len(curve.t) for curve in curves))
+            return Delay(late, max(own, _jackknife(rows, weight, parts)))
         if abs(late) > FARTHEST:
             return None
     return None
 
 
-def _with_std_error(late: float, own: float, rows: Rows, weight: Array, part: float) -> Delay:
-    """The delay, and the larger standard error of noise and of a jackknife over parts (s)."""
-    count = int(np.clip(np.ptp(rows.t) / part, 2, PARTS))
-    edges = np.linspace(rows.t[0], rows.t[-1], count + 1)[1:-1]
-    bounds = np.unique(np.concatenate([[0], np.searchsorted(rows.t, edges), [len(rows.t)]]))
+def _jackknife(rows: Rows, weight: Array, parts: int) -> float:
+    """Standard error (s) of the delay by a jackknife over parts of the log."""
+    bounds = np.linspace(0, len(rows.t), parts + 1).astype(int)
     sums = [_sums(rows.some(slice(*ends)), weight[slice(*ends)]) for ends in pairwise(bounds)]
     normal, pull = (np.stack(each) for each in zip(*sums, strict=True))
     without = np.linalg.solve(normal.sum(axis=0) - normal, (pull.sum(axis=0) - pull)[..., None])[:, 0, 0]
-    apart = np.sqrt((1.0 - 1.0 / len(sums)) * np.square(without - without.mean()).sum())
-    return Delay(late, float(max(own, apart)))
+    return float(np.sqrt((1.0 - 1.0 / len(sums)) * np.square(without - without.mean()).sum()))
 
 
 def _fitted(rows: Rows) -> tuple[float, Array, float]:
     """The next step (s), robust weights (R,), and the residual variance: 1 where noise is as stated."""
     weight, spread = np.ones(len(rows.t)), 1.0
-    for _ in range(ROUNDS):
+    for _ in range(SWEEPS):
         beta = np.linalg.solve(*_sums(rows, weight))
         squares = np.square(rows.misfit - rows.slopes @ beta).sum(axis=1)
         spread = float(np.median(squares)) / (2.0 * np.log(2.0)) + np.finfo(float).tiny
         before, weight = weight, 1.0 / (1.0 + squares / (TAME * spread))
-        if np.abs(weight - before).max() < 0.01:
+        if np.abs(weight - before).max() < ROUGHLY:
             break
     return float(beta[0]), weight, spread
 
