@@ -8,8 +8,9 @@ from ...settings import Estimation
 from ...types import Estimate, Finding
 from ..measurements import long_arrays
 
-FAR, SHARE, FEWEST = 3.0, 0.05, 20
-"""Gate in standard deviations, share of readings beyond it that gives a warning, and fewest readings judged."""
+FAR = 3.0
+"""Standard deviations: of readings with true variances at most 4/(9 FAR²), a twentieth, lie beyond, however distributed
+about one peak (Vysochanskij and Petunin)."""
 NOISY = 0.1
 """rad: an encoder with more noise than this gets a warning."""
 
@@ -23,7 +24,7 @@ def consistency_findings(found: Estimate, settings: Estimation) -> Iterator[Find
             yield Finding("warning", text)
     for sense, errors in found.errors.items():
         off = np.abs(errors.values[np.isfinite(errors.values)]) > FAR
-        if len(off) >= FEWEST and off.mean() > SHARE:
+        if len(off) > long_arrays.FEWEST and off.mean() > 4.0 / (9.0 * FAR**2):
             yield Finding(
                 "warning",
                 f"{sense}: {off.mean():.0%} of its readings are more than {FAR:g} standard deviations from what was "

@@ -13,9 +13,10 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Fault, Finding, Hypothesis
+from ..inference.reacquisition import SILENCE
 from ..measurements.records import Encoders, Evidence
 from .jumping import jumps, shifts, unwrapped
-from .repeats import FROZEN, silent, stuck
+from .repeats import silent, stuck
 from .stalled import motion_nats
 from .threshold import NATS
 
@@ -110,4 +111,4 @@ def _excursions(t: Array, y: Array, moves: Sequence[tuple[int, float, float]]) -
     if not edges:
         return []
     stretches = pairwise([(int(np.isfinite(y).argmax()), -edges[0][1]), *edges])
-    return [(begin, end, size) for (begin, size), (end, _) in stretches if t[end] - t[begin] < FROZEN]
+    return [(begin, end, size) for (begin, size), (end, _) in stretches if t[end] - t[begin] < SILENCE]

@@ -6,25 +6,24 @@ from dataclasses import replace
 import numpy as np
 
 from ...types import Array, Fault, Hypothesis
+from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import Problem
 from ..inference.solution import Solution
 from ..measurements.records import Encoders
 from ..noise.quantisation import step_size
 from .offset_score import offset_score
 from .offset_step import Way, free_energy, likeliest_step
-from .threshold import LEAST, NATS, SIGMAS
+from .threshold import NATS, SIGMAS
 
 WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
 """rad²/s: random-walk variances tried; the last one is a constant offset, as of a joint homed differently."""
-OFFSET, STEP = "encoder offset", "encoder step"
-"""Names of hypotheses."""
 
 
 def suspected_encoders(problem: Problem, solved: Solution) -> tuple[Problem, Array]:
     """The problem with the hypotheses of an offset of each encoder, to first order, and which (M,) bool win NATS."""
     gain, offset, var = offset_score(problem, solved, WALKS[0])
     certain = _significant(offset, var, smallest_fault(problem.evidence.encoders))
-    found = ((OFFSET, j, nats, False) for j, nats in enumerate(gain)) if gain.any() else ()
+    found = (("offset", j, nats, False) for j, nats in enumerate(gain)) if gain.any() else ()
     return _weighed(problem, found), np.asarray((gain > NATS) & certain.any(axis=0) & (_walks(problem) == 0))
 
 
@@ -38,7 +37,7 @@ def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[
     nats = free_energy(solved) if np.isinf(first) else first
     while suspected.any():
         walks = {j: cost(_with_walk(found, j, WALKS[0])) for j in np.flatnonzero(suspected).tolist()}
-        found = _weighed(found, ((OFFSET, j, nats - walk, False) for j, walk in walks.items()))
+        found = _weighed(found, (("offset", j, nats - walk, False) for j, walk in walks.items()))
         least = walks
         if min(walks.values()) > nats - NATS:
             # a gate rejects the readings after a large step, so that no offset wanders there
@@ -52,7 +51,7 @@ def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[
         # among indistinguishable joints take the smallest walk: a larger one follows errors of the body model
         near = sorted(_near({j: way.nats for j, way in ways.items()}))
         joint = min(near, key=lambda j: (_walks(ways[j].problem)[j], ways[j].nats))
-        compared = [(STEP if way.fault else OFFSET, j, nats - way.nats, j == joint) for j, way in ways.items()]
+        compared = [("step" if way.fault else "offset", j, nats - way.nats, j == joint) for j, way in ways.items()]
         found, nats = _weighed(_with_way(ways[joint], joint, near), compared), ways[joint].nats
         # once one offset is modelled, another may show
         suspected = (_walks(found) == 0) & ~np.isin(np.arange(len(suspected)), list(found.alternatives))
@@ -67,7 +66,7 @@ def _near(costs: Mapping[int, float]) -> list[int]:
 def _weighed(problem: Problem, found: Iterable[tuple[str, int, float, bool]]) -> Problem:
     """The problem with further hypotheses: kind, joint, nats won, chosen or not; the last one of a joint and kind."""
     evidence = problem.evidence
-    each = (Hypothesis(kind, evidence.joints[j], float(nats), NATS, won) for kind, j, nats, won in found)
+    each = (Hypothesis(f"encoder {kind}", evidence.joints[j], float(nats), NATS, won) for kind, j, nats, won in found)
     new = {(one.name, one.about): one for one in each}
     known = [new.pop((one.name, one.about), one) for one in evidence.hypotheses]
     return replace(problem, evidence=replace(evidence, hypotheses=(*known, *new.values())))
@@ -127,11 +126,11 @@ def smallest_fault(encoders: Encoders | None) -> Array | float:
     An encoder that never moved is assumed to have the largest step of the others.
     """
     if encoders is None:
-        return LEAST
+        return OFFSET_STD
     columns = [column[np.isfinite(column)] for column in encoders.values.T]
     steps = [step_size(y) for y in columns]
     steps_shown = [step if len(y) and np.ptp(y) else max(steps) for step, y in zip(steps, columns, strict=True)]
-    return np.maximum(LEAST, steps_shown)
+    return np.maximum(OFFSET_STD, steps_shown)
 
 
 def _significant(offset: Array, var: Array, least: Array | float) -> Array:
@@ -156,21 +155,9 @@ def faults(problem: Problem, offset: Array, var: Array) -> tuple[Fault, ...]:
         lasting = off & (np.cumsum(off[::-1])[::-1] > 0.5 * np.arange(len(t), 0, -1))
         if lasting.any():
             alternatives = problem.alternatives.get(joint, ())
-            own = offset[:, joint], var[:, joint], float(walks[joint])
-            size, std = (np.nan, None) if alternatives else _largest_smoothed(t, *own)
+            # the largest that is certain
+            at = int((np.abs(offset[:, joint]) - SIGMAS * np.sqrt(var[:, joint])).argmax())
+            size, std = (np.nan, None) if alternatives else (float(offset[at, joint]), float(np.sqrt(var[at, joint])))
             either, since = _either(names, joint, alternatives), float(t[lasting.argmax()])
             found.append(Fault("encoders", either, "drifting", since, size, "rad", std))
     return tuple(found)
-
-
-def _largest_smoothed(t: Array, offset: Array, var: Array, walk: float) -> tuple[float, float]:
-    """Largest smoothed offset and its std (rad) from filtered ones (N,) with variances (N,) at t (N,) s."""
-    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), 2000)).astype(int))  # as exact, and quick
-    ahead = var[some][:-1] + walk * np.diff(t[some])
-    back = var[some][:-1] / np.maximum(ahead, np.finfo(float).tiny)
-    whole, spread = offset[some].tolist(), var[some].tolist()
-    for k in range(len(whole) - 2, -1, -1):
-        whole[k] += back[k] * (whole[k + 1] - whole[k])
-        spread[k] += back[k] ** 2 * (spread[k + 1] - ahead[k])
-    at = int(np.argmax(np.abs(whole)))
-    return float(whole[at]), float(np.sqrt(max(spread[at], 0.0)))

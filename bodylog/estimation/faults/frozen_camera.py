@@ -8,10 +8,8 @@ from ...body_model import BodyModel
 from ...types import Array, Fault
 from ..measurements.long_arrays import seen
 from ..measurements.records import Encoders, Evidence, Sighting
-from .repeats import repeats
-
-PARTS = 8
-"""Parts of a stretch of exactly repeated positions in which encoders are averaged."""
+from .repeats import parted, repeats
+from .threshold import NATS
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Evidence:
@@ -43,17 +41,18 @@ def _moving(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]
 
 
 def _moved(sighting: Sighting, encoders: Encoders, begin: float, end: float) -> float:
-    """Largest motion (px) that the encoders predict between two parts of a stretch; 0 if not significant."""
+    """Largest motion (px) that the encoders predict from the first part of a stretch on; 0 if not significant."""
     inside = (encoders.t >= begin) & (encoders.t <= end)
     x = encoders.at(encoders.t[inside])
-    if len(x) < 2 * PARTS or not np.isfinite(x).all():
+    parts = parted(encoders.t[inside])
+    if not parts or not np.isfinite(x).all():
         return 0.0
-    means = np.stack([part.mean(axis=0) for part in np.array_split(x, PARTS)])
-    var = encoders.variance / np.maximum(np.isfinite(encoders.values[inside]).sum(axis=0) / PARTS, 1.0)
+    means = np.stack([x[part].mean(axis=0) for part in parts])
+    var = encoders.variance / np.maximum(np.isfinite(encoders.values[inside]).sum(axis=0) / len(parts), 1.0)
     noise = 2.0 * (np.square(sighting.model.predict(means)[1]) * var).sum(axis=(1, 2)).max()
     # a single encoder against the images may itself be faulty
     without = [np.where(alone, means[0], means) for alone in np.eye(means.shape[1]) > 0]
     places = np.stack([sighting.model.predict(some)[0] for some in without])
-    apart = float(np.linalg.norm(places[:, :, None] - places[:, None], axis=3).max(axis=(1, 2)).min())
-    # six standard deviations of the largest of 28 distances, and a pixel
-    return apart if apart > max(6.0 * float(np.sqrt(noise)), 1.0) else 0.0
+    apart = float(np.linalg.norm(places - places[:, :1], axis=2).max(axis=1).min())
+    # the largest of as many distances as there are parts
+    return apart if 0.5 * apart**2 > (NATS + np.log(len(parts))) * noise and apart > 1.0 else 0.0

@@ -1,19 +1,16 @@
 """Jumping encoders, found in their own readings: the level shifts faster than a joint can move."""
 
-from math import tau
+from math import log, tau
 
 import numpy as np
 
 from ...types import Array
+from ..inference.initial_path import OFFSET_STD
 from ..measurements.long_arrays import LEVEL, median, median_step, rows
-from .threshold import LEAST, NATS
+from .threshold import NATS
 
-JUMP = 12.0
-"""Smallest jump in standard deviations of the readings' steps."""
 FASTEST = 1000.0
 """rad/s²: largest acceleration of a joint; the fastest parallel robots reach a third of it at 1 m (15 g at 0.5 m)."""
-BESIDE = 0.5
-"""rad: a shift within BESIDE of a whole turn is a wrapped angle, not a fault."""
 
 
 def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
@@ -43,7 +40,7 @@ def _largest_sound(steps: Array, when: Array, usual: float) -> float:
     """Largest step (rad) of a sound encoder, from steps (N-1,) rad at `when` (N,) s, `usual` s apart."""
     # from rest to rest in a time h takes 4 s/h²
     fastest = FASTEST * max(usual, _hold_time(steps, when)) ** 2 / 4.0
-    return max(JUMP * _scatter(steps), LEAST, fastest)
+    return max(NATS * _scale(steps), OFFSET_STD, fastest)
 
 
 def _shift(v: Array, k: int) -> float:
@@ -58,8 +55,9 @@ def _shift(v: Array, k: int) -> float:
 
 def unwrapped(y: Array) -> Array:
     """Return readings y (N,) rad, NaN where missing, with whole turns between neighbours removed."""
+    # a shift nearer to half a turn is a false reading
     found, known = y.copy(), np.isfinite(y)
-    found[known] = np.unwrap(y[known], tau - BESIDE)
+    found[known] = np.unwrap(y[known], 0.75 * tau)
     return found
 
 
@@ -72,10 +70,13 @@ def _hold_time(steps: Array, t: Array) -> float:
     return min(float(np.quantile(np.diff(t[moved]), 0.1)), 0.1) if len(moved) > 3 else 0.0
 
 
-def _scatter(steps: Array) -> float:
-    """Robust std of steps (N,) rad; for coarse encoders, whose median step is 0, the median nonzero step."""
-    if scatter := 1.4826 * median(np.abs(steps - median(steps))):
-        return scatter
+def _scale(steps: Array) -> float:
+    """Scale (rad) of steps (N,) rad with the long tails of motion, e^(−|step|/scale): a step of NATS scales wins NATS.
+
+    For coarse encoders, whose median step is 0, the median nonzero step.
+    """
+    if half := median(np.abs(steps - median(steps))):
+        return half / log(2.0)
     moved = np.abs(steps[steps != 0.0])
     return median(moved) if len(moved) else 0.0
 

@@ -24,8 +24,6 @@ from .threshold import FAR, LATE, NATS
 
 MOST = 160
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
-MOVES = 3
-"""Most displacements of one camera."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +133,7 @@ def displacements(encoders: Encoders, seen: Sequence[Sighting]) -> list[Displace
 def _displacements(rows: _Rows) -> list[Displacement]:
     """Add displacements while each wins NATS, re-estimating the others each time; else the most likely one."""
     moves = [_best_displacement(rows)]
-    while moves[-1].nats > NATS and len(moves) < MOVES:
+    while moves[-1].nats > NATS:
         more = [*moves, _best_displacement(rows.without(moves))]
         for k in range(len(more)):
             more[k] = _best_displacement(rows.without(more[:k] + more[k + 1 :]))

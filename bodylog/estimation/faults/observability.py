@@ -10,7 +10,7 @@ from ...wording import listed
 from ..measurements.gather import silent
 from ..measurements.long_arrays import rows
 from ..measurements.records import Evidence
-from .repeats import SILENT
+from ..noise.encoder_noise import MEMORY
 
 
 def warned(evidence: Evidence, poses: bool) -> Evidence:
@@ -44,11 +44,11 @@ def _findings(evidence: Evidence, poses: bool) -> Iterator[Finding]:
 
 
 def _silent_from(frames: Array, known: Array) -> Iterator[str]:
-    """Yield the long silences of an encoder with readings at known (N,) s during which there are frames (F,) s."""
-    for k in np.flatnonzero(np.diff(known) > SILENT):
+    """Yield the silences beyond all MEMORY of an encoder with readings at known (N,) s while there are frames (F,)."""
+    for k in np.flatnonzero(np.diff(known) > MEMORY):
         if np.searchsorted(frames, known[k]) < np.searchsorted(frames, known[k + 1]):
             yield f"{known[k]:.3f} to {known[k + 1]:.3f} s"
-    if frames[-1] - known[-1] > SILENT:
+    if frames[-1] - known[-1] > MEMORY:
         yield f"{known[-1]:.3f} s on"
-    if known[0] - frames[0] > SILENT:
+    if known[0] - frames[0] > MEMORY:
         yield f"the first image to {known[0]:.3f} s"

@@ -14,7 +14,7 @@ from ..inference.solution import Solution
 from ..measurements.long_arrays import seen as seen_rows
 from ..measurements.timeline import spans
 from ..noise.correlated_noise import counts
-from .threshold import LEAST, SIGMAS
+from .threshold import SIGMAS
 
 
 def offset_score(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Array, Array]:
@@ -27,7 +27,7 @@ def offset_score(problem: Problem, solved: Solution, walk: float) -> tuple[Array
     if not visual:
         return np.zeros(m), *np.zeros((2, 1, m))
     # in a span an offset walks by less than the least fault: by two standard deviations
-    begins = np.unique(np.searchsorted(t, spans(t, (0.5 * LEAST) ** 2 / walk)))
+    begins = np.unique(np.searchsorted(t, spans(t, (0.5 * OFFSET_STD) ** 2 / walk)))
     bounds = np.append(begins, len(t))
     pull, weight = _encoder_sums(solved, bounds)
     seen = np.sum([_track_sums(problem, solved, k, bounds) for k in visual], axis=0)

@@ -16,7 +16,7 @@ from ..inference.gauss_newton import solve
 from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import Problem
 from ..inference.solution import Solution
-from .repeats import SILENT
+from ..noise.encoder_noise import MEMORY
 from .threshold import FAR
 
 
@@ -54,15 +54,15 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
 
     try:
         late, size = _two_levels(off(wandering))
-        # a filter takes a step for motion at first: in the second before, images alone tell the angle
-        unsure = (t > t[late] - SILENT) & (t <= t[late])
+        # a filter takes a step for motion at first: just before, images alone tell the angle
+        unsure = (t > t[late] - MEMORY) & (t <= t[late])
         masked = np.where(unsure, np.nan, np.where(t > t[late], y - size, y))
         seen, _ = _two_levels(off(_with_readings(problem, joint, masked)))
         steps = np.where(unsure, np.sign(size) * np.diff(y, prepend=np.nan), np.nan)
         rows = seen, int(np.nan_to_num(steps, nan=-np.inf).argmax())
         row = min(rows, key=lambda row: nats(row, size))
-        # an encoder that is off within the first second is off from the start
-        row = row if t[row] - t[0] >= SILENT else 0
+        # an encoder that is off so soon is off from the start
+        row = row if t[row] - t[0] >= MEMORY else 0
         lowest = _lowest([nats(row, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)])
     except DidNotConverge:
         return None

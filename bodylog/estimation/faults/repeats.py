@@ -10,17 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array
+from ..inference.reacquisition import SILENCE
 from ..measurements.long_arrays import all_of_row
+from ..noise.encoder_noise import MEMORY
 from ..noise.quantisation import step_size
 from .jumping import shifts
 from .threshold import NATS
 
-FROZEN = 0.5
-"""s: shortest stretch of one repeated value that may be a freeze."""
 RARE = 0.02
 """Largest share of repeats of a noisy encoder; one that repeats more often counts in steps."""
-SILENT = 1.0
-"""s: shortest gap in an encoder's readings that counts as silence."""
 
 
 class Stuck(NamedTuple):
@@ -50,12 +48,10 @@ def stuck(t: Array, y: Array, moved: Callable[[int, int], float]) -> Iterator[St
 
 
 def silent(t: Array, y: Array) -> Stuck:
-    """The last of readings y (N,) rad at t (N,) s: dead since then if that is SILENT ago, and twice its longest silence
-    before.
-    """
+    """The last of readings y (N,) rad at t (N,) s: dead since then if MEMORY and twice its longest gap ago."""
     known = np.flatnonzero(np.isfinite(y))
     longest, last = np.diff(t[known]).max(initial=0.0), int(known[-1])
-    return Stuck("dead", last, last, NATS * float(t[-1] - t[last]) / max(SILENT, 2.0 * longest))
+    return Stuck("dead", last, last, NATS * float(t[-1] - t[last]) / max(MEMORY, 2.0 * longest))
 
 
 def repeats(t: Array, y: Array) -> list[tuple[int, int]]:
@@ -64,7 +60,13 @@ def repeats(t: Array, y: Array) -> list[tuple[int, int]]:
     same = same if y.ndim == 1 else all_of_row(same)
     edges = np.flatnonzero(np.diff(same, prepend=False, append=False)).tolist()
     runs = zip(edges[::2], edges[1::2], strict=True)
-    return [(a, b + 1) for a, b in runs if t[b] - t[a] > FROZEN]
+    return [(a, b + 1) for a, b in runs if t[b] - t[a] > SILENCE]
+
+
+def parted(t: Array) -> list[Array]:
+    """Rows of each part of a stretch of instants t (N,) s, a part being half the shortest stretch of repeats."""
+    count = int(2.0 * np.ptp(t) / SILENCE) if len(t) else 0
+    return np.array_split(np.arange(len(t)), min(count, len(t))) if count else []
 
 
 def noisy(y: Array) -> bool:

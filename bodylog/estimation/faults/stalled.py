@@ -9,13 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...types import Array
+from ..inference.initial_path import OFFSET_STD
 from ..measurements.long_arrays import seen
 from ..measurements.records import Encoders, Sighting
 from ..noise.quantisation import step_size
-from .threshold import LEAST
-
-PART, FEWEST = 0.25, 3
-"""s of frames averaged to one position, and fewest frames to average."""
+from .repeats import parted
 
 
 def motion_nats(encoders: Encoders, images: Sequence[Sighting], joint: int, begin: int, end: int) -> float:
@@ -28,8 +26,7 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     less than the encoder's step.
     """
     rows = seen(sighting.values) & (sighting.t > begin) & (sighting.t <= end)
-    number = np.floor((sighting.t[rows] - begin) / PART)
-    parts = [p for p in (np.flatnonzero(number == k) for k in np.unique(number)) if len(p) >= FEWEST]
+    parts = parted(sighting.t[rows])
     if len(parts) < 2:
         return 0.0
     x = encoders.at(sighting.t[rows])
@@ -42,7 +39,7 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     noise += np.square(jac) @ encoders.variance
     found = [_explained(sighting, place, noise, middle, k) for k in range(x.shape[1])]
     (gain, left, apart), others = found[joint], [g for k, (g, *_) in enumerate(found) if k != joint]
-    least = max(LEAST, 2.0 * step_size(encoders.values[np.isfinite(encoders.values[:, joint]), joint]))
+    least = max(OFFSET_STD, 2.0 * step_size(encoders.values[np.isfinite(encoders.values[:, joint]), joint]))
     # better than rest, and better than motion of any other joint
     won = min(gain - len(parts), gain - max(others, default=0.0))
     return won if left < 0.2 * gain + len(parts) and apart > least else 0.0

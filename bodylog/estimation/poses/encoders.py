@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array, Fault, Finding
-from ..faults.threshold import FAR, LEAST, NATS, SIGMAS
+from ..faults.threshold import FAR, NATS, SIGMAS
+from ..inference.initial_path import OFFSET_STD
 from .solve import Poses, solved
 
 
@@ -137,7 +138,7 @@ def evidence(log_var: Array, errors: Errors, free: Array) -> tuple[float, Array,
 
 def faults(names: tuple[str, ...], found: Encoding, since: float) -> tuple[Fault, ...]:
     """Encoders with a significant offset in all poses."""
-    certain = np.abs(found.offset) > np.maximum(LEAST, SIGMAS * np.sqrt(found.offset_var))
+    certain = np.abs(found.offset) > np.maximum(OFFSET_STD, SIGMAS * np.sqrt(found.offset_var))
     return tuple(
         Fault("encoders", names[j], "offset", since, float(found.offset[j]), "rad") for j in np.flatnonzero(certain)
     )

@@ -11,7 +11,7 @@ from ...errors import ModelError, UsageError
 from ...settings import Estimation
 from ...types import Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import repaired
-from ..faults.threshold import LATE, NATS, SIGMAS
+from ..faults.threshold import LATE, NATS
 from ..measurements.gather import camera, gather
 from ..measurements.records import Encoders, Sighting
 from .regression import FARTHEST, Delay, measured
@@ -40,10 +40,10 @@ def corrected(features: Features, body: BodyModel, given: str | Mapping[str, flo
     residuals = measured_delays(shifted(features, delays), body)
     for name, residual in residuals.items():
         if significant(residual) and name not in fixed:
-            own = delays[name] + residual.seconds
+            own = replace(residual, seconds=delays[name] + residual.seconds)
             # a camera without its learned delay more likely has none than the measured rest
-            keep = not delays[name] or abs(own) > SIGMAS * residual.std_error
-            delays[name], errors[name] = (own, residual.std_error) if keep else (0.0, 0.0)
+            keep = not delays[name] or own.nats > NATS
+            delays[name], errors[name] = (own.seconds, own.std_error) if keep else (0.0, 0.0)
     weighed = tuple(
         Hypothesis("camera late", name, residual.nats, NATS, name not in fixed and significant(residual))
         for name, residual in residuals.items()
@@ -137,10 +137,11 @@ def delay_findings(
     for name in (name for name in {**delays, **residuals} if name != "joints"):
         delay, residual = delays.get(name, 0.0), residuals.get(name)
         if name in fixed and residual is not None and significant(residual):
-            late, given = delay + residual.seconds, f"--delay {name}={delay:g}" if delay else "not corrected"
-            better = f"{late:.4f}" if abs(late) > SIGMAS * residual.std_error else "0"
+            own = replace(residual, seconds=delay + residual.seconds)
+            given = f"--delay {name}={delay:g}" if delay else "not corrected"
+            better = f"{own.seconds:.4f}" if own.nats > NATS else "0"
             advice = f"error bars are too small for that; type --delay {name}={better}"
-            yield Finding("warning", f"{name}: {worded(late, residual.std_error)} ({given}): {advice}")
+            yield Finding("warning", f"{name}: {worded(own.seconds, own.std_error)} ({given}): {advice}")
         elif name in errors:
             advice = f"type --delay {name}={delay:.4f} to confirm it, --delay off to keep the timestamps"
             yield Finding("warning", f"{name}: {worded(delay, errors[name])}, corrected; {advice}")
