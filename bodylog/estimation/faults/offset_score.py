@@ -72,24 +72,14 @@ def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
     return np.asarray(model * (2.0 * duplicates - 2.0)[:, None])
 
 
-def _filtered(score: list[float], weight: list[float], grown: list[float]) -> tuple[list[float], list[float]]:
-    """One offset and its variance, first of all and after each span, whose walk has the variance `grown`."""
-    offsets, var = [b := 0.0], [p := OFFSET_STD**2]
-    for pull, stiff, more in zip(score, weight, grown, strict=True):
-        p += more
-        p /= 1.0 + stiff * p
-        b += p * (pull - stiff * b)
-        offsets.append(b)
-        var.append(p)
-    return offsets, var
-
-
 def _filtered_offsets(steps: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Array, Array]:
     """Filter each offset over spans of `steps` (S,) s from scores and weights (S,M); returns as `offset_score` does."""
-    grown = (walk * steps).tolist()
-    pairs = [_filtered(*each, grown) for each in zip(score.T.tolist(), weight.T.tolist(), strict=True)]
-    offsets, var = (np.transpose(each) for each in zip(*pairs, strict=True))
-    before, ahead = offsets[:-1], var[:-1] + walk * steps[:, None]
-    innovation, share = score - weight * before, 1.0 + weight * ahead
-    nats = before * (score - 0.5 * weight * before) + 0.5 * (innovation * innovation * ahead / share - np.log(share))
-    return nats.sum(axis=0), offsets[1:], var[1:]
+    offset, var, filtered = np.zeros(score.shape[1]), np.full(score.shape[1], OFFSET_STD**2), []
+    for pull, stiff, step in zip(score, weight, steps, strict=True):
+        before, ahead = offset, var + walk * step
+        share = 1.0 + stiff * ahead
+        offset, var = before + ahead * (pull - stiff * before) / share, ahead / share
+        nats = 0.5 * (offset * offset / var - before * before / ahead - np.log(share))
+        filtered.append((nats, offset, var))
+    nats, offset, var = np.stack(filtered).swapaxes(0, 1)
+    return nats.sum(axis=0), offset, var
