@@ -13,7 +13,7 @@ from ..noise.posture_prior import PosturePrior
 from ..noise.visibility import views
 from .filter_records import Dynamics
 from .gate import GATE
-from .reacquisition import left_open
+from .reacquisition import beside, left_open
 from .stationary import Stationary
 
 
@@ -63,8 +63,14 @@ class Problem:
 
     @property
     def more(self) -> Array | None:
-        """Factor on the process variance (E,M) where fewer tracks are in view, or None."""
-        fewer, usual = self.precision.fewer, self.precision.process
+        """Factor on the process variance (E,M), or None: fewer tracks are in view, or a smoother is beside a silence.
+
+        Beside a silence it is that of the silent joints, as this determines how well rates and accelerations are known
+        at both ends; a smoother's own is that of least error in the angles.
+        """
+        fewer, usual, held = self.precision.fewer, self.precision.process, self.held
+        if self.stationary is not None and held is not None and self.precision.likeliest is not None:
+            return np.where(beside(self.timeline.t, held), self.stationary.process / usual, 1.0)
         if not fewer:
             return None
         found, which = views(self.evidence.sightings, self.timeline.t)

@@ -90,6 +90,15 @@ def left_open(t: Array, evidence: Evidence) -> Array:
     return open_joints(_ages(t, evidence.encoders), numbers)
 
 
+def beside(t: Array, held: Array) -> Array:
+    """Joints (E,M) bool in or shortly before or after an open silence at times t (E,) s; held (E,M) bool: in it.
+
+    A joint is held only a while after its last reading.
+    """
+    known = [np.append(t[column], np.inf) for column in held.T]
+    return np.stack([times[np.searchsorted(times, t - SILENCE)] <= t + 2.0 * SILENCE for times in known], axis=1)
+
+
 def _ages(t: Array, encoders: Encoders) -> Array:
     """Times (E,M) s since each encoder's last reading before t (E,) s; −∞ before the first."""
     return np.stack([_since(encoders.t[np.isfinite(column)], t) for column in encoders.values.T], axis=1)

@@ -18,7 +18,7 @@ class Stationary:
         """Motion about mean (M,) rad with variances var (O,M) of the angles and their derivatives; process (M,)."""
         order, rates = len(var), np.zeros((len(mean), len(var), len(var)))
         rates[:, range(order - 1), range(1, order)] = 1.0
-        self.mean, self._cov = mean, np.zeros((order, order, len(mean)))
+        self.mean, self.process, self._cov = mean, process, np.zeros((order, order, len(mean)))
         self._cov[range(order), range(order)] = var
         if order == 2:
             rates[:, 1] = -np.stack([var[1] / var[0], 0.5 * process / var[1]], axis=1)
