@@ -40,14 +40,17 @@ def at_start(readings: Readings, trace: Trace, dynamics: Dynamics) -> Array:
     return _back(readings, trace, np.zeros((trace.z.shape[1], 1, c)), dynamics, smooth=x)[:, 0]
 
 
-def completed(readings: Readings, trace: Trace, ends: Array, dynamics: Dynamics) -> tuple[Array, Array]:
+def completed(readings: Readings, trace: Trace, ends: Array | None, dynamics: Dynamics) -> tuple[Array, Array]:
     """All smoothed states (L,K,C) and the covariances (L,O,O,C) of the angles and of what the encoders read.
 
-    The latter, sums of angle and offset, only with offsets: O = M or 2 M. ends (K,C): adjoint at each stretch's end.
-    Covariances and gains of a block of instants are computed again from the belief before it.
+    The latter, sums of angle and offset, only with offsets: O = M or 2 M. ends (K,C): adjoint at each stretch's end, or
+    None if nothing follows any stretch. Covariances and gains of a block of instants are computed again from the belief
+    before it.
     """
-    x, cov, adjoint, into = np.empty_like(trace.z), np.empty_like(trace.cov), ends, None
-    information = _ends(_starts(readings, trace, dynamics))
+    x, cov, into = np.empty_like(trace.z), np.empty_like(trace.cov), None
+    adjoint, information = np.zeros_like(trace.z[0]), np.zeros_like(trace.end_p)
+    if ends is not None:
+        adjoint, information = ends, _ends(_starts(readings, trace, dynamics))
     for at in trace.blocks[::-1]:
         part, into = _block(readings, trace, at, dynamics, into)
         x[at], adjoint = smoothed(part, into, adjoint, dynamics)

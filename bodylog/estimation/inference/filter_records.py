@@ -82,3 +82,12 @@ class Readings:
         if self.moves is not None:
             parts["moves"] = tuple(part[first:last] for part in self.moves)
         return replace(self, **parts)
+
+    def repeated(self, count: int) -> "Readings":
+        """One stretch, `count` times side by side."""
+        parts: dict[str, Any] = {
+            k: np.repeat(part, count, axis=-1) for k, part in vars(self).items() if isinstance(part, np.ndarray)
+        }
+        if self.moves is not None:
+            parts["moves"] = tuple(np.repeat(part, count, axis=-1) for part in self.moves)
+        return replace(self, **parts)

@@ -3,10 +3,11 @@
 Frames that leave silent joints open are linearised over the smoothed belief. Over a filter's, which is wide at the end
 of a silence, lines are coarse and may lead to another posture. The smoother begins with the readings on both sides of a
 silence, without its frames; then lines and path follow from each other until the path converges (iterated posterior
-linearisation: García-Fernández, Svensson & Särkkä 2017).
+linearisation: García-Fernández, Svensson & Särkkä 2017). Two postures may look the same and both converge, so a silence
+is begun several times, through the cubature points of its widest belief, and each path counts by its evidence.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from .convergence import ROUGHLY, SWEEPS
+from .folds import Fold
 from .initial_path import priors
 from .instant import line_over
 from .leave_one_out import without
@@ -22,27 +24,24 @@ from .scan import Keep, scan
 from .solution import Smooth, Solution, completed
 from .walk import frames_by_instant, walk, write
 
+BRIEF = 5.0
+"""s: a longer silence is begun once, as evidence of 40 sines with 10 s does not tell postures apart. Readings within as
+long on either side weigh the paths of a shorter one."""
+
+Frames = Mapping[int, Mapping[int, PendingFrame]]
+
 
 def smoothed(problem: Problem) -> Smooth:
     """Smooth along the filter's own tangents, and open frames along lines over the smoothed belief.
 
-    Residuals of lines last, so in the last pass they count as often as there are frames. Counted so before, images
-    weigh too little to leave a wrong posture.
+    Residuals of lines last, so in the last pass they count as often as their silence has frames. Counted so before,
+    images weigh too little to leave a wrong posture.
     """
-    hidden, m, before = _open(problem), len(problem.start), np.array(np.inf)
-    solution = walk(without(problem, (np.array(False), *hidden)), whole=True)
-    solution, frames = _across_silences(problem, solution), _frames(problem, hidden)
-    at = list(frames)
-    for _ in range(SWEEPS):
-        path = _passed(problem, solution)
-        x, cov = path.z[at, :m, 0], path.cov[at, :m, :m, 0]
-        if (np.abs(x - before) < ROUGHLY * np.sqrt(np.einsum("eii->ei", cov))).all():
-            break
-        _draw(solution, frames, x, cov)
-        before = x
-    if not frames:
-        return path
-    _draw(solution, frames, x, cov, float(len(frames)))
+    hidden = _open(problem)
+    solution = _across_silences(problem, walk(without(problem, (np.array(False), *hidden)), whole=True))
+    for frames in _silences(problem, hidden):
+        x, cov = _mixed(*_converged(problem, *_begun(problem, solution, frames)))
+        _draw(solution, frames, x, cov, float(len(frames)))
     return _passed(problem, solution)
 
 
@@ -62,27 +61,90 @@ def _across_silences(problem: Problem, solution: Solution) -> Solution:
     return replace(solution, readings=replace(solution.readings, reset=reset & ~held[..., None]))
 
 
-def _frames(problem: Problem, hidden: Sequence[Array]) -> dict[int, dict[int, PendingFrame]]:
-    """The `hidden` frames by instant, and by track."""
+def _silences(problem: Problem, hidden: Sequence[Array]) -> Iterator[Frames]:
+    """The `hidden` frames of each silence, by instant and by track."""
     at = {k for events, some in zip(problem.timeline.sightings, hidden, strict=True) for k in events[some].tolist()}
     every = frames_by_instant(problem, True, len(problem.timeline.t)) if at else {}
-    return {k: every[k] for k in sorted(at & every.keys())}
+    shown = np.array(sorted(at & every.keys()), int)
+    if problem.held is None or not len(shown):
+        return
+    number = np.cumsum(~problem.held.any(axis=1))[shown]
+    for part in np.split(shown, np.flatnonzero(np.diff(number)) + 1):
+        yield {k: every[k] for k in part.tolist()}
 
 
-def _draw(
-    solution: Solution, frames: Mapping[int, Mapping[int, PendingFrame]], x: Array, cov: Array, often: float = 1.0
-) -> None:
+def _begun(problem: Problem, solution: Solution, frames: Frames) -> tuple[Solution, Frames]:
+    """A silence begun through each cubature point, side by side, and the frames of all."""
+    line, at, m = problem.timeline.t, list(frames), len(problem.start)
+    first, last = np.searchsorted(line, [line[at[0]] - BRIEF, line[at[-1]] + BRIEF])
+    length, count = last - first, 1 + 2 * m if line[at[-1]] - line[at[0]] <= BRIEF else 1
+    fold = Fold(length * count, length, count)
+    begun = replace(solution, fold=fold, readings=solution.readings.between(first, last).repeated(count))
+    sights = {lane * length + k - first: frames[k] for lane in range(count) for k in at}
+    if count > 1:
+        x, cov, _ = _beliefs(problem, begun, sights)
+        widest = int(np.linalg.det(cov[: len(at)]).argmax())
+        points, var = _cubature(x[widest], cov[widest]), problem.precision.encoder
+        x, cov, _ = _beliefs(problem, _through(begun, at[widest] - first, points, var), sights)
+        _draw(begun, sights, x, cov)
+    return begun, sights
+
+
+def _cubature(x: Array, cov: Array) -> Array:
+    """The mean x (M,) and the cubature points of cov (M,M), in columns (M,1+2M)."""
+    var, axes = np.linalg.eigh(cov)
+    steps = axes * np.sqrt(len(x) * np.maximum(var, 0.0))
+    return np.asarray(x[:, None] + np.hstack([np.zeros((len(x), 1)), steps, -steps]))
+
+
+def _through(solution: Solution, at: int, points: Array, var: Array) -> Solution:
+    """The solution with encoders that read points (M,C) at an instant, with variances var (M,)."""
+    readings = solution.readings
+    encoders, noise = readings.encoders.copy(), readings.encoder_var.copy()
+    encoders[at], noise[at] = points, var[:, None]
+    return replace(solution, readings=replace(readings, encoders=encoders, encoder_var=noise, gate=np.inf))
+
+
+def _converged(problem: Problem, solution: Solution, frames: Frames) -> tuple[Array, Array, Array]:
+    """Beliefs x (C,F,M), cov (C,F,M,M) whose lines lead to themselves, and nats (C,), of stretches side by side."""
+    before = np.array(np.inf)
+    for _ in range(SWEEPS):
+        x, cov, nats = _beliefs(problem, solution, frames)
+        if (np.abs(x - before) < ROUGHLY * np.sqrt(np.einsum("fii->fi", cov))).all():
+            break
+        _draw(solution, frames, x, cov)
+        before = x
+    return x.reshape(len(nats), -1, *x.shape[1:]), cov.reshape(len(nats), -1, *cov.shape[1:]), nats
+
+
+def _mixed(x: Array, cov: Array, nats: Array) -> tuple[Array, Array]:
+    """Mean (F,M) and covariance (F,M,M) of C beliefs of these nats."""
+    share = np.exp(nats.min() - nats)
+    share /= share.sum()
+    mean = np.einsum("c,cfm->fm", share, x)
+    off = x - mean
+    return mean, np.einsum("c,cfmn->fmn", share, cov + off[..., None] * off[..., None, :])
+
+
+def _beliefs(problem: Problem, solution: Solution, frames: Frames) -> tuple[Array, Array, Array]:
+    """Smoothed beliefs x (F,M), cov (F,M,M) at the frames of stretches side by side, and nats (C,) of each stretch."""
+    path, at, m = _passed(problem, solution), np.array(list(frames)), len(problem.start)
+    x, cov = (path.fold.pick(part, at) for part in (path.z, path.cov))
+    return x[:, :m], cov[:, :m, :m], path.trace.nats.sum(axis=0)
+
+
+def _draw(solution: Solution, frames: Frames, x: Array, cov: Array, often: float = 1.0) -> None:
     """Write lines of frames at F instants over beliefs x (F,M) of cov (F,M,M) into a solution's readings."""
-    last = dict[int, LastFrame]()
+    last = dict[tuple[int, int], LastFrame]()
     for (k, sights), mean, spread in zip(frames.items(), x, cov, strict=True):
-        sights = {track: replace(sight, memory=last.get(track, sight.memory)) for track, sight in sights.items()}
+        lane = k // solution.fold.length
+        sights = {track: replace(s, memory=last.get((lane, track), s.memory)) for track, s in sights.items()}
         lines = {track: line_over(sight, mean, spread, often) for track, sight in sights.items()}
-        last |= {track: line.memory for track, line in lines.items()}
+        last |= {(lane, track): line.memory for track, line in lines.items()}
         write(np.array([k]), lines, solution.fold, solution.readings)
 
 
 def _passed(problem: Problem, solution: Solution) -> Smooth:
-    """The smoothed log of a solution's readings, in one stretch."""
+    """The smoothed log of a solution's readings, whose stretches do not follow one another."""
     trace = scan(solution.readings, problem.dynamics, *priors(problem, solution.fold), Keep.MEANS)
-    ends = np.zeros((problem.dynamics.size, 1))
-    return completed(solution.fold, solution.readings, solution.tangents, trace, ends, problem.dynamics)
+    return completed(solution.fold, solution.readings, solution.tangents, trace, None, problem.dynamics)

@@ -32,8 +32,8 @@ class Smooth(Solution):
 
 
 def completed(
-    fold: Fold, readings: Readings, tangents: Tangents, trace: Trace, ends: Array, dynamics: Dynamics
+    fold: Fold, readings: Readings, tangents: Tangents, trace: Trace, ends: Array | None, dynamics: Dynamics
 ) -> Smooth:
-    """The smoothed log, with covariances, of a forward pass and the adjoints (K,C) at stretches' ends."""
+    """The smoothed log, with covariances, of a forward pass and the adjoints (K,C) at stretches' ends, or None."""
     x, cov = adjoint.completed(readings, trace, ends, dynamics)
     return Smooth(fold, readings, tangents, trace.without_gains(), x, cov)
