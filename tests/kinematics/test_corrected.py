@@ -1,5 +1,7 @@
 """A corrected URDF at q is the old one at q + zeros, by this program and by another."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -27,6 +29,21 @@ def test_written_zeros_move_the_joints_exactly(tmp_path):
     old, new = ends_of(pybullet, MIXED, moved, tmp_path), ends_of(pybullet, text, angles, tmp_path)
     for link in ("b", "c", "e"):  # d mimics another joint, which PyBullet ignores
         np.testing.assert_allclose(new[link], old[link], atol=1e-6)
+
+
+def test_all_else_in_the_file_stays():
+    bare = MIXED.replace('<origin xyz="0 0.2 0"/>', "<!-- é < here > -->").replace(
+        '<origin xyz="0 0.1 0.3"/>', "<origin xyz='0 0.1 0.3'></origin>"
+    )
+    lines = bare.replace("\n", "\r\n").replace("<robot", "<!-- ours -->\n<robot", 1)
+    text = corrected(lines, "m.urdf", ZEROS)
+    assert re.sub("<origin [^>]*?/?>", "", text) == re.sub("<origin [^>]*?/?>", "", lines)
+    assert text.count("<origin") == lines.count("<origin") + 1
+    np.testing.assert_allclose(
+        between(urdf.parse(text, "m"), "a", "c").at(np.zeros((1, 2))).place,
+        between(urdf.parse(lines, "m"), "a", "c").at(np.array([[0.02, 0.1]])).place, atol=1e-12,
+    )  # fmt: skip
+    assert corrected(lines, "m.urdf", {}) == lines
 
 
 def test_corrected_names_an_unknown_joint():
