@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .solution import Solution
 
 OFFSET_STD = 0.01
-"""rad: prior standard deviation of an encoder offset."""
+"""rad: prior standard deviation of an encoder offset; with 0.003 and 0.03 errors of drawn logs stay within .4 %."""
 
 
 def prior_of(start: Array, dynamics: Dynamics) -> tuple[Array, Array]:

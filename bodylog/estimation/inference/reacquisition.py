@@ -17,11 +17,14 @@ from ..noise.correlated_noise import PendingFrame
 from .gate import GATE
 
 START_STD = (1.0, 1.0, 3.0)
-"""rad, rad/s, rad/s²: prior standard deviations of joints before the first reading."""
-SURE = 0.5
-"""Share of that below which a belief counts as known, so that a reading can confirm it."""
+"""rad, rad/s, rad/s²: prior standard deviations of joints before the first reading.
+
+With (2, 3, 10) filters of 177 drawn logs err up to 4 % more, of (0.5, 0.3, 1) up to 5 % less, but then a robot that
+moves at first is taken for still.
+"""
 SILENCE = 0.5
-"""s: after a longer silence an encoder must confirm the belief before the gate may reject it.
+"""s: after a longer silence an encoder must confirm the belief before the gate may reject it. With 0.25 s errors of
+177 drawn logs stay; with 1 s smoothed ones are 4 % larger in silences of 2 s, and 20 % larger by a frozen encoder.
 
 A live filter's readings may be as late: they come before their encoder counts as silent.
 """
@@ -53,7 +56,7 @@ def _lost(
     """
     m, present = len(readings), np.isfinite(readings)
     # a wide belief follows a reading, so the reading does not confirm it
-    tested = present & mute & (np.diagonal(p)[:m] < (SURE * START_STD[0]) ** 2)
+    tested = present & mute & (np.diagonal(p)[:m] < START_STD[0] ** 2)
     if not tested.any():
         return tested, present & ~mute
     rows = np.eye(m, len(z)) + np.eye(m, len(z), order * m)
