@@ -16,9 +16,6 @@ from ..inference.gate import GATE
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import union
 
-GUESSES, CANDIDATES = 4, 400
-"""Explored postures at which the search starts for poses without all encoders, and how many are compared."""
-
 
 @dataclass(frozen=True, eq=False)
 class Poses:
@@ -106,12 +103,9 @@ def solved(poses: Poses, start: Array | None = None) -> Solved:
     loose = np.flatnonzero(~np.isfinite(z).all(axis=1) & np.isfinite(poses.y[:, z.shape[1] :]).any(axis=1))
     if not len(loose):
         return best
-    some = poses.some(loose)
-    for guess in _guesses(some):
-        tried = descended(some, guess)
-        better = tried.cost < best.cost[loose] - 1e-9
-        best = _merged(best, tried, loose[better], better)
-    return best
+    tried = descended(poses.some(loose), _guess(poses.some(loose)))
+    better = tried.cost < best.cost[loose] - 1e-9
+    return _merged(best, tried, loose[better], better)
 
 
 def _merged(whole: Solved, some: Solved, rows: Array, chosen: Array) -> Solved:
@@ -122,17 +116,17 @@ def _merged(whole: Solved, some: Solved, rows: Array, chosen: Array) -> Solved:
     return Solved(**columns)
 
 
-def _guesses(poses: Poses) -> Array:
-    """Explored postures (G,P,M) rad nearest to the readings of each pose."""
-    x = np.concatenate([s.model.samples for s in poses.sightings if hasattr(s.model, "samples")])
-    x = x[np.unique(np.linspace(0, len(x) - 1, min(len(x), CANDIDATES)).round().astype(int))]
-    g, m = poses.predict(x)[0], x.shape[1]
-    spread = np.concatenate([poses.span**2, np.maximum(np.var(g[:, m:], axis=0), 1e-12)])
-    far = np.zeros((len(poses.t), len(x)))
-    for y, places, var in zip(poses.y.T, g.T, spread, strict=True):
-        far += np.nan_to_num((y[:, None] - places) ** 2 / var)
-    nearest = np.argsort(far, axis=1, kind="stable")[:, :GUESSES].T
-    return np.where(np.isfinite(poses.y[:, :m]), poses.y[:, :m], x[nearest])
+def _guess(poses: Poses) -> Array:
+    """Angles (P,M) rad from which to search: those of least cost after one step from each explored posture."""
+    z, least = poses.y[:, : len(poses.centre)], np.full(len(poses.t), np.inf)
+    guess, undamped = np.where(np.isfinite(z), z, poses.centre), np.zeros(len(poses.t))
+    explored = [s.model.samples for s in poses.sightings if hasattr(s.model, "samples")]
+    for posture in np.unique(np.concatenate([poses.centre[None], *explored]), axis=0):
+        near = _at(poses, np.where(np.isfinite(z), z, posture))
+        near = _at(poses, near.x + _step(poses, near, undamped))
+        better = near.cost < least
+        guess[better], least[better] = near.x[better], near.cost[better]
+    return guess
 
 
 def descended(poses: Poses, x: Array) -> Solved:
