@@ -3,7 +3,7 @@
 Means of encoder readings predict positions. The residuals r (R,) px of a track's curve are normal with covariance C:
 noise, model error (correlated by posture), and wandering offsets of all encoders. A displacement Δ ~ N(0, σ²I) from the
 k-th mean on, with all k equally likely, adds ½ bᵀA⁻¹b − ½ ln|σ²A| to ln p(r), where A = SᵀC⁻¹S + I/σ² and b = SᵀC⁻¹r.
-It must win against no displacement, encoders that wander, one that wanders far or steps, and all wrong at first.
+It must win against no displacement, encoders that wander, one that steps, and all wrong at first.
 """
 
 from collections.abc import Sequence
@@ -52,9 +52,9 @@ class _Rows:
         """The rows with displacements subtracted."""
         return replace(self, r=self.r - sum(one.size[self.output] * (self.t >= one.t) for one in moves))
 
-    def wandering(self, lean: Array, std: float, walk: float) -> "_Rows":
-        """The rows with encoders' offsets of `std` rad that wander by `walk` rad²/s; lean (R,J) px/rad."""
-        more = _offset_covariance(self.t, lean, std, walk)
+    def wandering(self, walk: float) -> "_Rows":
+        """The rows with encoders' offsets that wander by `walk` rad²/s."""
+        more = _offset_covariance(self.t, self.jac, walk)
         return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more))
 
     @property
@@ -152,7 +152,7 @@ def _best_displacement(rows: _Rows) -> Displacement:
 
 
 def _gain_over_encoders(rows: _Rows, moves: list[Displacement]) -> float:
-    """Nats won against the best alternative: encoders wander, one wanders far, steps, or all err at first.
+    """Nats won against the best alternative: encoders wander, one steps, or all err at first.
 
     Negative where residuals exceed the noise: the model is not linear over a large offset. A step of one encoder is as
     simple as one displacement, so it is compared with the first displacement alone.
@@ -161,14 +161,12 @@ def _gain_over_encoders(rows: _Rows, moves: list[Displacement]) -> float:
     # the mean square is 1 where all noise is as stated
     if (poor := 4.0 * len(white) - np.square(white).sum()) < 0.0:
         return 0.5 * float(poor)
-    each = [rows.jac[:, joint, None] for joint in range(rows.jac.shape[1])]
-    wandering = [rows.wandering(rows.jac, OFFSET_STD, walk).cost for walk in (WALKS[0], WALKS[2])]
-    far = [rows.wandering(lean, FAR, WALKS[2]).cost for lean in each]
-    steps = min(_best_step(rows, lean, FAR).nats for lean in each)
+    wandering = [rows.wandering(walk).cost for walk in (WALKS[0], WALKS[2])]
+    steps = min(_best_step(rows, lean[:, None], FAR).nats for lean in rows.jac.T)
     settled = _best_step(rows, rows.jac, FAR, until=True).nats
     # each given those before it: given those after it, too, displacements that cancel win twice
     won = [_best_displacement(rows.without(moves[:k])).nats for k in range(len(moves))]
-    return min(steps - rows.cost + won[0], min(settled, *wandering, *far) - rows.cost + sum(won))
+    return min(steps - rows.cost + won[0], min(settled, *wandering) - rows.cost + sum(won))
 
 
 def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
@@ -185,7 +183,7 @@ def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
             parts.append(tuple(column[sound] for column in columns))
     t, output, r, jac, encoder, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
     # rows of one time share the same means of encoder readings
-    cov = (t[:, None] == t) * ((jac * encoder) @ jac.T) + _offset_covariance(t, jac, OFFSET_STD, WALKS[-1])
+    cov = (t[:, None] == t) * ((jac * encoder) @ jac.T) + _offset_covariance(t, jac, WALKS[-1])
     # smaller delays are left
     cov += LATE**2 * np.outer(speed, speed)
     for end, block in zip(np.cumsum([len(block) for block in own]).tolist(), own, strict=True):
@@ -193,10 +191,10 @@ def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
     return _Rows(t, output, r, jac, np.linalg.cholesky(cov))
 
 
-def _offset_covariance(t: Array, lean: Array, std: float, walk: float) -> Array:
-    """Covariance (R,R) px² added by encoders' offsets of `std` rad that wander by `walk` rad²/s; lean (R,J) px/rad."""
+def _offset_covariance(t: Array, jac: Array, walk: float) -> Array:
+    """Covariance (R,R) px² added by encoders' offsets that wander by `walk` rad²/s; jac (R,M) px/rad."""
     since = t - t.min(initial=np.inf)
-    return np.asarray((lean @ lean.T) * (std**2 + walk * np.minimum.outer(since, since)))
+    return np.asarray((jac @ jac.T) * (OFFSET_STD**2 + walk * np.minimum.outer(since, since)))
 
 
 def _best_step(rows: _Rows, basis: Array, wide: float, until: bool = False) -> Displacement:
