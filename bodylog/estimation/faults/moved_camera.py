@@ -152,7 +152,7 @@ def _best_displacement(rows: _Rows) -> Displacement:
 
 
 def _gain_over_encoders(rows: _Rows, moves: list[Displacement]) -> float:
-    """Nats won against the best alternative: encoders wander, one steps, or all err at first.
+    """Nats won by each move against the best alternative: encoders wander, one steps, or all err at first.
 
     Negative where residuals exceed the noise: the model is not linear over a large offset. A step of one encoder is as
     simple as one displacement, so it is compared with the first displacement alone.
@@ -166,7 +166,7 @@ def _gain_over_encoders(rows: _Rows, moves: list[Displacement]) -> float:
     settled = _best_step(rows, rows.jac, FAR, until=True).nats
     # each given those before it: given those after it, too, displacements that cancel win twice
     won = [_best_displacement(rows.without(moves[:k])).nats for k in range(len(moves))]
-    return min(steps - rows.cost + won[0], min(settled, *wandering) - rows.cost + sum(won))
+    return min(steps - rows.cost + won[0], (min(settled, *wandering) - rows.cost + sum(won)) / len(moves))
 
 
 def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
