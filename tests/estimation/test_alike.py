@@ -83,13 +83,12 @@ def test_lasting_errors_count_less_than_independent_ones_in_a_filter():
 
 
 @pytest.mark.parametrize(("whole", "steady"), [(False, np.sqrt(2.0)), (True, np.sqrt(0.125))])
-@pytest.mark.parametrize("stated", [0.75, 1.0])
-def test_frame_variances_of_constant_frames_keep_the_stated_share(whole, steady, stated):
+def test_frame_variances_of_constant_frames_keep_the_common_error(whole, steady):
     dt, error, jac, many = 1e-3, 0.002, np.eye(3)[:2], 10_000
-    like = alike.ErrorCorrelation(np.full(3, 0.02), np.array(0.1), 0.0, whole, stated)
+    like = alike.ErrorCorrelation(np.full(3, 0.02), np.array(0.1), 0.0, whole)
     t, still, models = dt * np.arange(many), np.zeros((many, 3)), np.full((many, 2), error)
     found = alike.variances(like, t, still[:, :2], still, np.tile(jac, (many, 1, 1)), 0.0 * models, models)
-    assert stated * steady * (found[-1] * dt) ** 0.75 * 0.02**0.25 == pytest.approx(np.full(2, error), rel=0.01)
+    assert steady * (found[-1] * dt) ** 0.75 * 0.02**0.25 == pytest.approx(np.full(2, error), rel=0.01)
 
 
 def test_independent_errors_do_not_extend_the_correlation(world):

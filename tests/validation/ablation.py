@@ -152,11 +152,6 @@ def independent(self, step):
     return np.zeros(step.shape[:-1])
 
 
-def full_share(process, reach, near, whole, stated, order):
-    """Common errors whatever share of the variance is stated."""
-    return correlated_noise.ErrorCorrelation(process, reach, near, whole, 1.0, order)
-
-
 PARTS = {
     "white jerk where evidence prefers it": (
         ("sines", "babble, one camera"), setting(filtering, "with_preferred_order", lambda problem: problem)),
@@ -195,6 +190,5 @@ PARTS = {
         setting(correlated_noise.ErrorCorrelation, "times", lambda self, count, like: 2.0 * count - 1.0)),
     "common errors of two tracks": (
         ("babble, two cameras",), setting(tangents, "repeated", lambda frames, common, distinct: (1.0,) * len(frames))),
-    "common errors where less is stated": (("still arms",), setting(tangents, "ErrorCorrelation", full_share)),
 }  # fmt: skip
 """What is taken out: the logs where it matters, and the patch."""

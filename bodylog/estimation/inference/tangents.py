@@ -93,10 +93,8 @@ class Tangents:
     def _variances(self, index: int, sighting: Sighting, precision: NoiseModel, whole: bool) -> Array:
         """Variances (F,D), inflated such that correlated frames together do not count more than they inform."""
         var, seen = precision.scale.get(sighting.name, 1.0) * sighting.independent.var, self._seen[index]
-        # a filtered belief errs by far more than models do
-        often, stated = (self._repeated[index], precision.stated) if whole else (1.0, 1.0)
-        near = precision.near.get(sighting.name, 0.0)
-        like = ErrorCorrelation(precision.process, reach(sighting.model), near, whole, stated, precision.order)
+        often, near = self._repeated[index] if whole else 1.0, precision.near.get(sighting.name, 0.0)
+        like = ErrorCorrelation(precision.process, reach(sighting.model), near, whole, precision.order)
         var[seen] = variances(
             like, sighting.t[seen], sighting.values[seen], self.points[index][seen], self._jac[index][seen], var[seen],
             self._model_var[index][seen], often,

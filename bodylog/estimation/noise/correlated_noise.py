@@ -4,8 +4,7 @@ The model's error depends on the posture, and perception's on the place within a
 place share an error E (px²), and a belief must not be surer than that. With motion of order n, its noise of density q
 (px² / s^(2n−1)) in the image, and readings with noise of density R (px² s), a filter, whose poles are those of a
 Butterworth filter, has the variance c R^(1−1/2n) q^(1/2n), c = 1 / sin(π/2n), and a smoother 1/2n of it. This equals E
-if correlated frames within a span of (E / c²ⁿ q)^(1/(2n−1)) s count as one. For a share s of the variance to equal E,
-q counts s²ⁿ times.
+if correlated frames within a span of (E / c²ⁿ q)^(1/(2n−1)) s count as one.
 """
 
 import math
@@ -37,22 +36,20 @@ class ErrorCorrelation:
     """When a track's errors correlate: postures within reach (M,) rad, places within `near` px, 0 for never.
 
     process (M,) rad²/s³: the joints' white acceleration, or jerk, rad²/s⁵, for order 3 · whole: for a smoother, by the
-    frames of the whole log · stated () or (M,): stated share of the variance, which must not fall below the common
-    error.
+    frames of the whole log.
     """
 
     process: Array
     reach: Array
     near: float
     whole: bool = False
-    stated: Array | float = 1.0
     order: int = 2
 
     @cached_property
     def wander(self) -> Array:
-        """Process variance (M,) times c²ⁿ and a power of `stated`."""
+        """Process variance (M,) times c²ⁿ."""
         steady = steady_variance(np.ones(()), np.ones(()), self.order) / (2 * self.order if self.whole else 1)
-        return np.asarray((self.stated * steady) ** (2 * self.order) * self.process)
+        return np.asarray(steady ** (2 * self.order) * self.process)
 
     @property
     def power(self) -> float:
