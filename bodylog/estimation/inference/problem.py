@@ -55,6 +55,12 @@ class Problem:
         return Dynamics(self.precision.process, self.precision.drift, is_prior, self.precision.order, self.stationary)
 
     @property
+    def undetermined(self) -> bool:
+        """Whether images give no more numbers than there are joints whose encoders are never read."""
+        numbers = sum(s.values.shape[1] for s in self.evidence.sightings if s.name != "touch")
+        return self.posture_prior is not None and numbers <= self.posture_prior.joints.sum()
+
+    @property
     def held(self) -> Array | None:
         """Silent joints (E,M) bool that images leave open at each instant; None if none ever is silent."""
         if self.stationary is None or self.evidence.encoders is None:

@@ -7,7 +7,7 @@ linearisation: García-Fernández, Svensson & Särkkä 2017). Two postures may l
 is begun several times, through the cubature points of its widest belief, and each path counts by its evidence.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -37,20 +37,20 @@ def smoothed(problem: Problem) -> Smooth:
     Residuals of lines last, so in the last pass they count as often as their silence has frames. Counted so before,
     images weigh too little to leave a wrong posture.
     """
-    hidden = _open(problem)
+    alone = _alone(problem)
+    hidden = (alone[events] for events in problem.timeline.sightings)
     solution = _across_silences(problem, walk(without(problem, (np.array(False), *hidden)), whole=True))
-    for frames in _silences(problem, hidden):
+    for frames in _silences(problem, alone):
         x, cov = _mixed(*_converged(problem, *_begun(problem, solution, frames)))
-        _draw(solution, frames, x, cov, float(len(frames)))
+        lasted = problem.timeline.t[max(frames)] - problem.timeline.t[min(frames)]
+        _draw(solution, frames, x, cov, len(frames) * BRIEF / max(lasted, BRIEF))
     return _passed(problem, solution)
 
 
-def _open(problem: Problem) -> tuple[Array, ...]:
-    """Frames (F,) bool of each sighting that leave silent joints open."""
-    open_at = np.zeros(len(problem.timeline.t), bool)
-    if problem.held is not None:
-        open_at |= problem.held.any(axis=1)
-    return tuple(open_at[events] for events in problem.timeline.sightings)
+def _alone(problem: Problem) -> Array:
+    """Instants (E,) bool at which images leave joints open whose encoders are silent, or are never read."""
+    never = np.full(len(problem.timeline.t), problem.undetermined)
+    return never if problem.held is None else never | problem.held.any(axis=1)
 
 
 def _across_silences(problem: Problem, solution: Solution) -> Solution:
@@ -61,16 +61,13 @@ def _across_silences(problem: Problem, solution: Solution) -> Solution:
     return replace(solution, readings=replace(solution.readings, reset=reset & ~held[..., None]))
 
 
-def _silences(problem: Problem, hidden: Sequence[Array]) -> Iterator[Frames]:
-    """The `hidden` frames of each silence, by instant and by track."""
-    at = {k for events, some in zip(problem.timeline.sightings, hidden, strict=True) for k in events[some].tolist()}
-    every = frames_by_instant(problem, True, len(problem.timeline.t)) if at else {}
-    shown = np.array(sorted(at & every.keys()), int)
-    if problem.held is None or not len(shown):
-        return
-    number = np.cumsum(~problem.held.any(axis=1))[shown]
-    for part in np.split(shown, np.flatnonzero(np.diff(number)) + 1):
-        yield {k: every[k] for k in part.tolist()}
+def _silences(problem: Problem, alone: Array) -> Iterator[Frames]:
+    """The frames of each run of instants `alone` (E,) bool, by instant and by track."""
+    every = frames_by_instant(problem, True, len(alone)) if alone.any() else {}
+    shown = np.array([k for k in sorted(every) if alone[k]], int)
+    for part in np.split(shown, np.flatnonzero(np.diff(np.cumsum(~alone)[shown])) + 1):
+        if len(part):
+            yield {k: every[k] for k in part.tolist()}
 
 
 def _begun(problem: Problem, solution: Solution, frames: Frames) -> tuple[Solution, Frames]:

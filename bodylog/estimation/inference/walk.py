@@ -49,7 +49,7 @@ def find_initial_path(problem: Problem, lost: bool = False) -> Problem:
         return replace(problem, resets=resets)
     problem = _with_stationary(problem)
     whole = _stepped(problem, False, ROUGHLY, _only(len(line)))
-    stepwise = not confirmed or _quiet(problem, line[:0]) or len(whole.adrift) > 0
+    stepwise = not confirmed or _quiet(problem, line[:0]) or len(whole.adrift) > 0 or problem.undetermined
     problem = replace(problem, path=(line, whole.points), resets=whole.resets, stepwise=stepwise)
     if problem.precision.learned is None:  # noise is not to be learned from the log
         return problem
