@@ -24,6 +24,15 @@ def lying(drawn, size, joint="pan", since=8.0):
     return replace(drawn.features, joints=replace(joints, values=values))
 
 
+def error(found, drawn, since=0.0):
+    """Root mean square error (rad) of an estimate from `since` s on."""
+    t, truth = found.joints.t, drawn.truth
+    x = np.column_stack(
+        [np.interp(t, truth.t, truth.values[:, truth.names.index(name)]) for name in found.joints.names]
+    )
+    return np.sqrt(np.mean((found.joints.values - x)[t >= since] ** 2))
+
+
 def solved(features, body, **settings):
     problem = filtering.gathered(features, body, Estimation(**settings))
     problem, warm = filtering.tuned(problem, Estimation(**settings))
@@ -90,6 +99,14 @@ def test_model_error_gives_no_encoder_fault(world, learned):
         assert (gain < encoder_offset.NATS).all()
 
 
+@pytest.mark.parametrize("seed", seeds(2, 12))
+def test_body_of_a_short_exploration_gives_no_encoder_fault(world, seed):
+    explored = world(seed, duration=5.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
+    drawn = world(1000 + seed, duration=20.0, encoder_std=0.02, pixel_std=0.3, camera_hz=20.0)
+    found = estimate(drawn.features, body.learn([explored.features], Settings(), {}).model, Estimation())
+    assert not found.faults and error(found, drawn) < 0.012
+
+
 @pytest.mark.parametrize("joint", ["lift", "elbow"])
 @pytest.mark.parametrize("seed", range(2))
 def test_encoder_step_near_the_noise_is_named(world, seed, joint):
@@ -106,6 +123,14 @@ def test_encoder_step_has_its_time_and_its_size_within_its_error(world, seed, jo
     (fault,) = estimate(lying(drawn, size, joint), drawn.body, Estimation()).faults
     assert (fault.name, fault.kind) == (joint, "jumping") and abs(fault.since - 8.0) < 0.1
     assert abs(fault.size - size) < 4.0 * fault.std < 0.03
+
+
+@pytest.mark.parametrize("seed", seeds(1, 10))
+def test_encoder_step_leaves_the_filters_error_as_it_is_without(world, seed):
+    drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
+    features = (drawn.features, lying(drawn, 0.1, "elbow"))
+    sound, stepped = (error(estimate(each, drawn.body, Estimation()), drawn, since=8.0) for each in features)
+    assert stepped < 1.06 * sound
 
 
 @pytest.mark.parametrize(("seed", "joint", "size"), [(3, "elbow", 0.02), (4, "elbow", 0.05), (0, "pan", 0.02)])

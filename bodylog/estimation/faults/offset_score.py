@@ -13,6 +13,7 @@ from ..inference.problem import Problem
 from ..inference.solution import Solution
 from ..measurements.long_arrays import seen as seen_rows
 from ..measurements.timeline import spans
+from ..noise.correlated_noise import counts
 from .threshold import SIGMAS
 
 
@@ -55,12 +56,20 @@ def _track_sums(problem: Problem, solved: Solution, track: int, bounds: Array) -
     x, cov = (solved.fold.pick(a, events) for a in (trace.prior, trace.prior_cov))
     y, jac, var = (solved.fold.pick(a[:, track, size], events) for a in (readings.y, readings.jac, readings.var))
     s, nu = jac @ cov @ jac.swapaxes(1, 2), y[..., None] - jac @ x[..., None]
-    s[:, size, size] += var
+    s[:, size, size] += var + _correlated_error(solved, track, seen)
     white = np.linalg.solve(s, np.concatenate([jac, nu], axis=2))
     far = np.sqrt((nu[..., 0] * white[..., -1]).mean(axis=1))
     white[..., -1] /= np.maximum(far / SIGMAS, 1.0)[:, None]
     each = (jac.swapaxes(1, 2) @ white).cumsum(axis=0)
     return np.diff(np.insert(each, 0, 0.0, axis=0)[np.searchsorted(events, bounds)], axis=0)
+
+
+def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
+    """Variance (F,D) added for correlated model error, so that frames of like postures count as one."""
+    points, model = solved.tangents.points[track][seen], solved.tangents.model_var(track)[seen]
+    # within 0.3 rad errors of the body model are correlated, and look like an offset
+    duplicates = counts(np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / 0.3))
+    return np.asarray(model * (2.0 * duplicates - 2.0)[:, None])
 
 
 def _filtered_offsets(steps: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Array, Array]:

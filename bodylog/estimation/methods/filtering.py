@@ -21,7 +21,7 @@ from ..inference.solution import Solution
 from ..inference.walk import find_initial_path, loses_encoder, walk
 from ..measurements.gather import start
 from ..measurements.timeline import timeline
-from ..noise import typed
+from ..noise import encoder_noise, typed
 from ..noise.evidence_search import tune, with_preferred_order
 from ..noise.noise_model import resolve, warned, weighed
 from ..noise.posture_prior import learn_prior
@@ -115,8 +115,20 @@ def settled(
         found = encoder_offset.choose(found, solved, suspected, partial(cost, warm=solved))
     if not found.alternatives:
         return found, solved
-    found, begin = tuned(found, settings)
+    found, begin = tuned(relearned(found, settings), settings)
     return found, sure(found, begin)
+
+
+def relearned(problem: Problem, settings: Estimation) -> Problem:
+    """The problem with noise learned again from the encoders: the process noise had absorbed the offset."""
+    encoders, precision = problem.evidence.encoders, problem.precision
+    if precision.learned is None or encoders is None:
+        return problem
+    known = precision.learned[precision.order - 2].dithered
+    joints = encoder_noise.series(encoders)
+    evident = encoder_noise.learn(joints, precision.encoder, precision.process, precision.order, known).process
+    held = typed.precision(precision.held(evident, encoders), settings, problem.evidence.joints)
+    return replace(problem, precision=held)
 
 
 def cost(problem: Problem, warm: Solution | None = None) -> float:
