@@ -133,6 +133,16 @@ def test_encoder_step_leaves_the_filters_error_as_it_is_without(world, seed):
     assert stepped < 1.06 * sound
 
 
+@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(3, 12))])
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+def test_large_encoder_step_is_a_step_and_no_drift(world, seed, method):
+    explored = world(5000 + seed, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
+    model, drawn = body.learn([explored.features], Settings(), {}).model, world(7000 + seed)
+    found = estimate(lying(drawn, 0.3), model, Estimation(method=method))
+    assert [(fault.name, fault.kind) for fault in found.faults] == [("pan", "jumping")]
+    assert error(found, drawn) < {"laplace": 0.0075, "smoother": 0.004}[method]
+
+
 @pytest.mark.parametrize(("seed", "joint", "size"), [(3, "elbow", 0.02), (4, "elbow", 0.05), (0, "pan", 0.02)])
 def test_encoder_step_that_a_filter_takes_for_motion_is_a_step(world, seed, joint, size):
     drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)

@@ -27,11 +27,15 @@ def suspected_encoders(problem: Problem, solved: Solution) -> tuple[Problem, Arr
     return _weighed(problem, found), np.asarray((gain > NATS) & certain.any(axis=0) & (_walks(problem) == 0))
 
 
-def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Problem:
-    """Add one offset after the other while each wins NATS, and the hypotheses compared; `cost` gives nats.
+def choose(
+    problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float],
+    tuned: Callable[[Problem], Problem],
+) -> Problem:  # fmt: skip
+    """Add one offset after the other while each wins NATS, and the hypotheses compared.
 
-    suspected (M,) bool: the encoders tried first, at least one. Steps are taken out of the readings, and are faults of
-    the evidence. Joints with an offset are keys of the problem's `alternatives`.
+    suspected (M,) bool: the encoders tried first, at least one. `cost` gives nats, `tuned` a problem with noise of its
+    own evidence. Steps are taken out of the readings, and are faults of the evidence. Joints with an offset are keys of
+    the problem's `alternatives`.
     """
     first, found = cost(problem), problem
     nats = free_energy(solved) if np.isinf(first) else first
@@ -45,7 +49,7 @@ def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[
         if min(least.values()) > nats - NATS:
             break
         # the kind of offset is chosen before a further one is tried: one that wanders too freely hides others
-        ways = {j: _best_way(found, j, walks[j], solved, cost) for j in _near(least)}
+        ways = {j: _best_way(found, j, solved, cost, tuned) for j in _near(least)}
         if min(way.nats for way in ways.values()) > nats - NATS:
             break
         # among indistinguishable joints take the smallest walk: a larger one follows errors of the body model
@@ -88,14 +92,21 @@ def _either(names: tuple[str, ...], joint: int, others: tuple[int, ...]) -> str:
 
 
 def _best_way(
-    problem: Problem, joint: int, least: float, solved: Solution, cost: Callable[[Problem], float]
+    problem: Problem, joint: int, solved: Solution, cost: Callable[[Problem], float],
+    tuned: Callable[[Problem], Problem],
 ) -> Way:  # fmt: skip
-    """The best random walk of one joint's offset, or its step where that costs less; the first walk costs `least`."""
-    problems = [_with_walk(problem, joint, walk) for walk in WALKS]
-    ways = [Way(problems[0], least), *(Way(one, cost(one)) for one in problems[1:])]
-    best = min(ways, key=lambda way: way.nats)
-    step = likeliest_step(problem, best.problem, joint, solved)
-    return step if step is not None and step.nats < best.nats else best
+    """The best random walk of one joint's offset, or its step where that costs less.
+
+    These are compared with noise `tuned` with the offset: the problem's own has absorbed it.
+    """
+    allowed = with_drift(tuned(_with_walk(problem, joint, WALKS[0])), _walks(problem))
+    walks = (_with_walk(allowed, joint, walk) for walk in WALKS)
+    best = min((Way(one, cost(one)) for one in walks), key=lambda way: way.nats)
+    step = likeliest_step(allowed, best.problem, joint, solved)
+    way = step if step is not None and step.nats < best.nats else best
+    # against no offset it counts with the problem's noise: less of it makes an offset of a poor body's errors
+    found = replace(way.problem, precision=replace(problem.precision, drift=way.problem.precision.drift))
+    return way._replace(problem=found, nats=cost(found) + way.prior)
 
 
 def _walks(problem: Problem) -> Array:

@@ -21,11 +21,12 @@ from .threshold import FAR
 
 
 class Way(NamedTuple):
-    """A problem with one more offset, its cost (nats), and the fault if the offset is a step."""
+    """A problem with one more offset, its cost (nats), and if it is a step the fault and what size and time cost."""
 
     problem: Problem
     nats: float
     fault: Fault | None = None
+    prior: float = 0.0
 
 
 def free_energy(solution: Solution) -> float:
@@ -70,10 +71,10 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
         return None
     cost, more, std = lowest
     size += more
-    cost += 0.5 * (np.log1p((FAR / std) ** 2) + (size / FAR) ** 2) + (np.log(len(t)) if row else 0.0)
+    prior = float(0.5 * (np.log1p((FAR / std) ** 2) + (size / FAR) ** 2) + (np.log(len(t)) if row else 0.0))
     kind, name = "jumping" if row else "drifting", problem.evidence.joints[joint]
     fault = Fault("encoders", name, kind, float(t[row]), size, "rad", std)
-    return Way(without(row, size), float(cost), fault)
+    return Way(without(row, size), cost + prior, fault, prior)
 
 
 def _lowest(nats: Sequence[float]) -> tuple[float, float, float] | None:

@@ -112,23 +112,24 @@ def settled(
         return problem, solved
     found, suspected = encoder_offset.suspected_encoders(problem, solved)
     if suspected.any():
-        found = encoder_offset.choose(found, solved, suspected, partial(cost, warm=solved))
+        known = partial(cost, warm=solved)
+        found = encoder_offset.choose(found, solved, suspected, known, lambda posed: retuned(posed, settings)[0])
     if not found.alternatives:
         return found, solved
-    found, begin = tuned(relearned(found, settings), settings)
+    found, begin = retuned(found, settings)
     return found, sure(found, begin)
 
 
-def relearned(problem: Problem, settings: Estimation) -> Problem:
-    """The problem with noise learned again from the encoders: the process noise had absorbed the offset."""
+def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
+    """The problem with noise learned again, first from the encoders: the process noise had absorbed the offset."""
     encoders, precision = problem.evidence.encoders, problem.precision
     if precision.learned is None or encoders is None:
-        return problem
+        return tuned(problem, settings)
     known = precision.learned[precision.order - 2].dithered
     joints = encoder_noise.series(encoders)
     evident = encoder_noise.learn(joints, precision.encoder, precision.process, precision.order, known).process
     held = typed.precision(precision.held(evident, encoders), settings, problem.evidence.joints)
-    return replace(problem, precision=held)
+    return tuned(replace(problem, precision=held), settings)
 
 
 def cost(problem: Problem, warm: Solution | None = None) -> float:
