@@ -143,6 +143,23 @@ def test_large_encoder_step_is_a_step_and_no_drift(world, seed, method):
     assert error(found, drawn) < {"laplace": 0.0075, "smoother": 0.004}[method]
 
 
+@pytest.mark.parametrize(("size", "silence"), [(0.1, 2.0), (0.1, 5.0), (1.0, 0.2)])
+@pytest.mark.parametrize("seed", seeds(1, 6))
+def test_step_after_a_silence_of_all_encoders_is_named(world, seed, size, silence):
+    explored = world(5000, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
+    drawn = world(9000 + seed, encoder_std=0.005)
+    features = lying(drawn, size)
+    read = (features.joints.t < 8.0) | (features.joints.t >= 8.0 + silence)
+    t, values, source_ns = (
+        part[read] for part in (features.joints.t, features.joints.values, features.joints.source_ns)
+    )
+    features = replace(features, joints=replace(features.joints, t=t, values=values, source_ns=source_ns))
+    found = estimate(features, body.learn([explored.features], Settings(), {}).model, Estimation())
+    assert [fault.name for fault in found.faults] == ["pan"]
+    assert found.faults[0].size == pytest.approx(size, abs=0.01)
+    assert error(found, drawn, since=8.0 + silence) < 0.006
+
+
 @pytest.mark.parametrize(("seed", "joint", "size"), [(3, "elbow", 0.02), (4, "elbow", 0.05), (0, "pan", 0.02)])
 def test_encoder_step_that_a_filter_takes_for_motion_is_a_step(world, seed, joint, size):
     drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)

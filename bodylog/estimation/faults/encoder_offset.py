@@ -42,14 +42,13 @@ def choose(
     while suspected.any():
         walks = {j: cost(_with_walk(found, j, WALKS[0])) for j in np.flatnonzero(suspected).tolist()}
         found = _weighed(found, (("offset", j, nats - walk, False) for j, walk in walks.items()))
-        least = walks
-        if min(walks.values()) > nats - NATS:
-            # a gate rejects the readings after a large step, so that no offset wanders there
-            least = {j: cost(replace(_with_walk(found, j, WALKS[0]), gate=np.inf)) for j in walks}
-        if min(least.values()) > nats - NATS:
+        wins = min(walks.values()) <= nats - NATS
+        if not wins and found.alternatives:
             break
+        # a gate rejects the readings after a large step, so that no offset wanders there: only a step is left to try
+        near = _near(walks) if wins else list(walks)
         # the kind of offset is chosen before a further one is tried: one that wanders too freely hides others
-        ways = {j: _best_way(found, j, solved, cost, tuned) for j in _near(least)}
+        ways = {j: _best_way(found, j, solved, cost, tuned) for j in near}
         if min(way.nats for way in ways.values()) > nats - NATS:
             break
         # among indistinguishable joints take the smallest walk: a larger one follows errors of the body model

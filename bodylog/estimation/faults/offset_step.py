@@ -11,11 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array, Fault
-from ..inference.convergence import ROUGHLY, DidNotConverge
-from ..inference.gauss_newton import solve
 from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import Problem
 from ..inference.solution import Solution
+from ..inference.walk import filtered
 from ..noise.encoder_noise import MEMORY
 from .threshold import FAR
 
@@ -37,36 +36,33 @@ def free_energy(solution: Solution) -> float:
 def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Solution) -> Way | None:
     """The most likely step of one joint's encoder, given the problem without and with a `wandering` offset of it.
 
-    None where the log determines no step, or without convergence.
+    None where the log determines no step.
     """
     encoders = problem.evidence.encoders
     assert encoders is not None
     y, t = encoders.values[:, joint], encoders.t
 
     def off(posed: Problem) -> Array:
-        solution = solve(posed, solved, rest=ROUGHLY)
+        solution = filtered(posed, solved)
         return np.asarray(y - solution.fold.unfold(solution.trace.z[:, joint])[problem.timeline.encoders])
 
     def without(row: int, size: float) -> Problem:
         return _with_readings(problem, joint, np.where(np.arange(len(y)) >= row, y - size, y))
 
     def nats(row: int, size: float) -> float:
-        return free_energy(solve(without(row, size), solved, rest=ROUGHLY))
+        return free_energy(filtered(without(row, size), solved))
 
-    try:
-        late, size = _two_levels(off(wandering))
-        # a filter takes a step for motion at first: just before, images alone tell the angle
-        unsure = (t > t[late] - MEMORY) & (t <= t[late])
-        masked = np.where(unsure, np.nan, np.where(t > t[late], y - size, y))
-        seen, _ = _two_levels(off(_with_readings(problem, joint, masked)))
-        steps = np.where(unsure, np.sign(size) * np.diff(y, prepend=np.nan), np.nan)
-        rows = seen, int(np.nan_to_num(steps, nan=-np.inf).argmax())
-        row = min(rows, key=lambda row: nats(row, size))
-        # an encoder that is off so soon is off from the start
-        row = row if t[row] - t[0] >= MEMORY else 0
-        lowest = _lowest([nats(row, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)])
-    except DidNotConverge:
-        return None
+    late, size = _two_levels(off(wandering))
+    # a filter takes a step for motion at first: just before, images alone tell the angle
+    unsure = (t > t[late] - MEMORY) & (t <= t[late])
+    masked = np.where(unsure, np.nan, np.where(t > t[late], y - size, y))
+    seen, _ = _two_levels(off(_with_readings(problem, joint, masked)))
+    steps = np.where(unsure, np.sign(size) * np.diff(y, prepend=np.nan), np.nan)
+    rows = seen, int(np.nan_to_num(steps, nan=-np.inf).argmax())
+    row = min(rows, key=lambda row: nats(row, size))
+    # an encoder that is off so soon is off from the start
+    row = row if t[row] - t[0] >= MEMORY else 0
+    lowest = _lowest([nats(row, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)])
     if lowest is None:
         return None
     cost, more, std = lowest

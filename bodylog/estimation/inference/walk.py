@@ -8,10 +8,11 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, reach
 from ..noise.posture_prior import stationary
-from .convergence import ROUGHLY, SETTLED
+from .convergence import ROUGHLY, SETTLED, DidNotConverge
 from .filter_records import Readings
 from .folded_readings import encoder_rows, folded_readings
 from .folds import Fold, fold_for
+from .gauss_newton import solve
 from .initial_path import priors
 from .instant import Line
 from .problem import Problem
@@ -104,6 +105,14 @@ def walk(problem: Problem, whole: bool = False) -> Solution:
     trace = scan(readings, problem.dynamics, found.z, found.p, keep)
     fold.put(trace.nats, np.array([*found.adrift], int), np.array([state.nats for state in found.adrift.values()]))
     return Solution(fold, readings, tangents, trace)
+
+
+def filtered(problem: Problem, warm: Solution | None = None) -> Solution:
+    """The filter's solution, roughly; instant by instant where sweeps do not converge, as after a silence."""
+    try:
+        return solve(problem, warm, rest=ROUGHLY)
+    except DidNotConverge:
+        return walk(problem)
 
 
 def write(at: Array, lines: Mapping[int, Line], fold: Fold, readings: Readings) -> None:

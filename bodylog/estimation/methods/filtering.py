@@ -13,12 +13,12 @@ from ...types import Array, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
 from ..faults.offset_step import free_energy
 from ..faults.screening import screened
-from ..inference.convergence import ROUGHLY, DidNotConverge
+from ..inference.convergence import DidNotConverge
 from ..inference.gauss_newton import solve
 from ..inference.problem import Problem
 from ..inference.reacquisition import named
 from ..inference.solution import Solution
-from ..inference.walk import find_initial_path, loses_encoder, walk
+from ..inference.walk import filtered, find_initial_path, loses_encoder, walk
 from ..measurements.gather import start
 from ..measurements.timeline import timeline
 from ..noise import encoder_noise, typed
@@ -133,11 +133,8 @@ def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution |
 
 
 def cost(problem: Problem, warm: Solution | None = None) -> float:
-    """Free energy (nats) of the whole log, filtered from where `warm` ended; infinite without convergence."""
-    try:
-        return free_energy(solve(problem, warm, rest=ROUGHLY))
-    except DidNotConverge:
-        return np.inf
+    """Free energy (nats) of the whole log, filtered from where `warm` ended."""
+    return free_energy(filtered(problem, warm))
 
 
 def shown(z: Array, problem: Problem) -> Array:

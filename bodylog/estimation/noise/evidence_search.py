@@ -8,13 +8,12 @@ import numpy as np
 
 from ...types import Array, Hypothesis
 from ..faults.threshold import NATS
-from ..inference.convergence import ROUGHLY, SWEEPS, DidNotConverge
-from ..inference.gauss_newton import solve
+from ..inference.convergence import SWEEPS
 from ..inference.problem import Problem
 from ..inference.reacquisition import left_open, silent
 from ..inference.scan import scan
 from ..inference.solution import Solution
-from ..inference.walk import walk
+from ..inference.walk import filtered
 from ..measurements.long_arrays import median_step, seen
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import timeline
@@ -64,7 +63,7 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and seen(s.values).sum() > SKIP]
     if not names and not whole:
         return problem.precision, None
-    solved = _solved(part)
+    solved = filtered(part)
     half = np.ones(len(part.start) + len(names))
     for _ in range(SWEEPS if names else 0):
         logs = _logs(part, names)
@@ -94,15 +93,7 @@ def _less(problem: Problem) -> list[View]:
 def _with_view(part: Problem, view: View) -> tuple[Problem, Solution]:
     """The part with only these of its tracks, and its solution."""
     less = _measured(part, part.evidence.encoders, [s for s in part.evidence.sightings if s.name in view])
-    return less, _solved(less)
-
-
-def _solved(part: Problem) -> Solution:
-    """The filter's solution; instant by instant where sweeps do not converge, as after a silence."""
-    try:
-        return solve(part, rest=ROUGHLY)
-    except DidNotConverge:
-        return walk(part)
+    return less, filtered(less)
 
 
 def _of_smoother(part: Problem, solved: Solution, encoders: Encoders | None) -> NoiseModel:
