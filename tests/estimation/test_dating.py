@@ -14,7 +14,11 @@ from tests.estimation.test_delay import delayed
 
 
 def nees(found, drawn):
-    return next(s.value for s in against_truth(found, drawn.truth, list(drawn.truth.names)) if s.name == "nees/joint")
+    return score(found, drawn, "nees/joint")
+
+
+def score(found, drawn, name):
+    return next(s.value for s in against_truth(found, drawn.truth, list(drawn.truth.names)) if s.name == name)
 
 
 def delay_texts(found, severity="warning"):
@@ -66,7 +70,9 @@ def test_delay_is_reported_and_corrected(world, method, seconds):
         assert np.array_equal(found.errors["effector"].t, track.t)
         truly.append(nees(estimate(drawn.features, drawn.body, settings), drawn))
         found_to_be.append(nees(found, drawn))
-        assert nees(estimate(features, drawn.body, replace(settings, bias="off"), "off"), drawn) > 2.0 * truly[-1]
+        # with a long delay the images' noise is learned so large that error bars are true, but errors are larger
+        left = estimate(features, drawn.body, replace(settings, bias="off"), "off")
+        assert score(left, drawn, "rmse/joint") > 1.3 * score(found, drawn, "rmse/joint")
     assert np.mean(found_to_be) == pytest.approx(np.mean(truly), abs=0.2)
 
 
