@@ -75,14 +75,18 @@ def ramped(t, rng, speed):
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
-@pytest.mark.parametrize("seed", seeds(4, 12))
-def test_estimate_follows_joints_that_start_and_stop_within_a_few_readings(world, monkeypatch, method, seed):
+@pytest.mark.parametrize("first", seeds(1, 6))
+def test_estimate_follows_joints_that_start_and_stop_within_a_few_readings(world, monkeypatch, method, first):
     """Their first and last bends stand alone, as those of false readings do."""
     monkeypatch.setattr(worlds, "motion", ramped)
-    drawn = world(seed, encoder_hz=30.0, encoder_std=1e-3, speed=1.0)
-    found = estimate(drawn.features, drawn.body, Estimation(method=method, senses=("encoders",)))
-    error, nees = judged(drawn, found.joints, found.cov)
-    assert error < 1.05e-3 and 0.3 < nees < 3.0
+    errors = []
+    for seed in range(4 * first, 4 * first + 4):
+        drawn = world(seed, encoder_hz=30.0, encoder_std=1e-3, speed=1.0)
+        found = estimate(drawn.features, drawn.body, Estimation(method=method, senses=("encoders",)))
+        error, nees = judged(drawn, found.joints, found.cov)
+        errors.append(error)
+        assert 0.3 < nees < 3.0
+    assert np.mean(errors) < 1.02e-3
 
 
 @pytest.mark.parametrize(

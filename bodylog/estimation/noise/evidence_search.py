@@ -55,8 +55,8 @@ def with_preferred_order(problem: Problem) -> Problem:
 def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     """Process variances and pixel factors from (the middle of) the log, for a smoother (`whole`) or a filter.
 
-    Rounds of steps to the greatest evidence end when all are within a standard deviation of it. Also the last solution
-    as a warm start, if it covers the whole log.
+    Rounds of steps to the greatest evidence end when all are within a standard deviation of it; a parabola is as wide
+    as before until its minimum is near. Also the last solution as a warm start, if it covers the whole log.
     """
     log = middle(determined(replace(problem, precision=replace(problem.precision, fewer={}))))
     part = thinned(log)
@@ -73,7 +73,7 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
         part = replace(part, precision=_with(part, np.exp(logs + step), names))
         if (np.abs(_logs(part, names) - logs) <= std).all():
             break
-        half = np.minimum(half, std)
+        half = np.where(np.abs(step) < 2.0 * half, np.minimum(half, std), half)
     warm = solved if part.timeline is problem.timeline else None
     if whole:
         likeliest = _of_filter(problem, part, solved).process
@@ -129,7 +129,9 @@ def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
     taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
     # a silent encoder has no share
     share = np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0)
-    return part.precision.held(share * alone + (1.0 - share) * part.precision.process, encoders, white)
+    # encoders alone may find no motion where images find some
+    more = share * np.maximum(alone - part.precision.process, 0.0)
+    return part.precision.held(part.precision.process + more, encoders, white)
 
 
 def _logs(part: Problem, names: list[str]) -> Array:
