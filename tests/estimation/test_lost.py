@@ -167,8 +167,9 @@ def test_mistaken_first_reading_is_corrected_by_the_next(world, row):
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
 @pytest.mark.parametrize(("rows", "size"), [((1,), 0.05), ((0, 1), 0.5), ((0, 1, 2), 0.5), ((0, 1, 2, 3), 3.0)])
-def test_belief_that_rejects_an_encoder_from_the_start_recovers(world, rows, size, method):
-    drawn = world(1, duration=8.0, encoder_std=0.002)
+@pytest.mark.parametrize("seed", [1, 3, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (2, 4, 5, 6, 7, 8))])
+def test_belief_that_rejects_an_encoder_from_the_start_recovers(world, rows, size, method, seed):
+    drawn = world(seed, duration=8.0, encoder_std=0.002)
     features = shifted(drawn.features, size, np.isin(np.arange(len(drawn.truth.t)), rows), "lift")
     rmse, nees, faults, _ = judged(features, drawn, 1.2, method=method)
     assert rmse < 0.002 and nees < 1.4 and not faults

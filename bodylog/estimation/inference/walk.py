@@ -61,10 +61,12 @@ def loses_encoder(problem: Problem, solution: Solution) -> bool:
     """Whether the belief rejects an encoder for longer than SILENCE."""
     if problem.evidence.encoders is None:
         return False
-    t, gate = problem.evidence.encoders.t[:, None], solution.readings.gate
+    t, read = problem.evidence.encoders.t[:, None], np.isfinite(problem.evidence.encoders.values)
+    # NaN where a smoother has removed a reading as an outlier
     d = np.abs(solution.fold.unfold(solution.trace.encoder_d)[problem.timeline.encoders])
-    confirmed = np.maximum.accumulate(np.where(d <= gate, t, t[0]), axis=0)
-    return bool(((d > gate) & (t - confirmed > SILENCE)).any())
+    heard = d <= solution.readings.gate
+    confirmed = np.maximum.accumulate(np.where(heard, t, t[0]), axis=0)
+    return bool((read & ~heard & (t - confirmed > SILENCE)).any())
 
 
 def _confirmed_soon(problem: Problem) -> tuple[bool, tuple[Array, Array] | None]:

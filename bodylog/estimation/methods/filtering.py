@@ -111,6 +111,10 @@ def settled(
     if settings.bias != "auto" or problem.evidence.encoders is None:
         return problem, solved
     found, suspected = encoder_offset.suspected_encoders(problem, solved)
+    if suspected.any() and not problem.stepwise and loses_encoder(problem, filtered(problem, solved)):
+        # a filter that is lost makes offsets of sound readings: with re-acquisition first
+        again, begin = tuned(find_initial_path(problem, lost=True), settings)
+        return settled(again, begin, settings, lambda posed, _: patient(posed), patient)
     if suspected.any():
         known = partial(cost, warm=solved)
         found = encoder_offset.choose(found, solved, suspected, known, lambda posed: retuned(posed, settings)[0])
