@@ -161,9 +161,15 @@ def _robot(known: Layout, name: str) -> dict[str, str]:
 
 
 def _names(declared: Any, count: int) -> tuple[str, ...]:
-    """The names of `count` numbers: a list, or the values of a mapping ({"motors": [...]}); else their indices."""
-    while isinstance(declared, dict) and len(declared) == 1:
-        declared = next(iter(declared.values()))
+    """The names of `count` numbers: a list, or the values of a mapping ({"motors": [...]}); else their indices.
+
+    Some datasets nest the list in another, [[...]].
+    """
+    while isinstance(declared, dict | list) and len(declared) == 1:
+        only = declared[0] if isinstance(declared, list) else next(iter(declared.values()))
+        if isinstance(only, str):
+            break
+        declared = only
     if isinstance(declared, dict):
         declared = [text for part in declared.values() for text in (part if isinstance(part, list) else [part])]
     if isinstance(declared, list) and len(declared) == count and all(isinstance(text, str) for text in declared):

@@ -172,6 +172,14 @@ def test_open_knows_other_names_of_state_and_action(copied):
         assert len(log["/action"]) == 12
 
 
+def test_open_knows_names_in_a_nested_list(copied):
+    info = json.loads((copied / "meta/info.json").read_text())
+    info["features"]["observation.state"]["names"] = [list(drawn.JOINTS)]
+    (copied / "meta/info.json").write_text(json.dumps(info))
+    with logs.open(copied) as log:
+        np.testing.assert_array_equal(log["/joint_states"].name[0], drawn.JOINTS)
+
+
 def test_open_passes_on_images_in_the_table(copied):
     import cv2
 

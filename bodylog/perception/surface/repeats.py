@@ -1,0 +1,151 @@
+"""Frames that repeat their predecessor: a recorder that is faster than its camera stores images twice."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import InputError
+from ...types import Array, Frame
+from ..colours.coarse_search import gray
+
+SHRINK = 4
+"""Images are compared at this fraction of their size."""
+_WINDOW_PX = 5
+"""Side, in shrunken pixels, of the window over which differences are averaged: a moving thing, not noise."""
+_BUSY_PERCENT = 99.0
+"""Percentile of the windows' differences that stands for an image: a small moving part counts."""
+_REPEAT_SHARE = 0.3
+"""Largest change of a repeat, as a share of the lesser change beside it, both above the noise of coding."""
+_LEAST_MOTION_GREY = 1.5
+"""Grey levels above the noise that the images beside a repeat change at least; less is no motion."""
+_REVERSAL_SHARE = 0.75
+"""Changes that fall to this share towards an instant from both sides: a motion that stops or reverses, no repeat."""
+_LEAST_JUDGED = 20
+"""Moving frames that suffice for a share; with fewer, frames that are equal in every pixel count as well."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRepeats:
+    """Which frames of a camera repeat the one before.
+
+    t (N,) s · repeated (N,) · judged (N,): frames for which the images can tell, those in which something moves ·
+    change (N,) grey levels against the frame before, NaN of the first.
+    """
+
+    t: Array
+    repeated: Array
+    judged: Array
+    change: Array
+
+    @property
+    def share(self) -> float | None:
+        """Share of repeats among the judged frames; None without any."""
+        count = int(self.judged.sum())
+        return float(self.repeated[self.judged].sum() / count) if count else None
+
+    @property
+    def stored_hz(self) -> float | None:
+        """Rate of all frames, Hz; None of fewer than two."""
+        gaps = np.diff(self.t)
+        return float(1.0 / np.median(gaps)) if len(gaps) and np.median(gaps) > 0 else None
+
+    @property
+    def distinct_hz(self) -> float | None:
+        """Rate of distinct frames, Hz: that of all, less the share of repeats."""
+        if self.stored_hz is None:
+            return None
+        return self.stored_hz * (1.0 - (self.share or 0.0))
+
+
+class RepeatSearch:
+    """Compares each frame with the one before; memory is three numbers a frame."""
+
+    def __init__(self) -> None:
+        """Start before the first frame."""
+        self._before: Array | None = None
+        self._t: list[float] = []
+        self._change: list[float] = []
+        self._equal: list[bool] = []
+
+    def add(self, t: float, small: Array) -> None:
+        """Take the next frame at t (s) as a shrunken grey image (h,w) uint8; its shape must not change."""
+        import cv2
+
+        change, equal = float("nan"), False
+        if self._before is not None and self._before.shape == small.shape:
+            difference = cv2.absdiff(small, self._before)
+            equal = not difference.any()
+            windows = cv2.blur(difference.astype(np.float32), (_WINDOW_PX, _WINDOW_PX))
+            rank = int(windows.size * _BUSY_PERCENT / 100.0)
+            change = float(np.partition(windows.ravel(), rank)[rank])
+        self._t.append(t)
+        self._change.append(change)
+        self._equal.append(equal)
+        self._before = small
+
+    def repeats(self) -> FrameRepeats:
+        """Judge the frames so far."""
+        change, equal = np.array(self._change), np.array(self._equal, bool)
+        repeated, judged = _judge(change, equal)
+        return FrameRepeats(np.array(self._t), repeated, judged, change)
+
+
+def find_repeats(frames: Callable[[], Iterable[Frame]]) -> FrameRepeats:
+    """Judge all frames of a camera; frames that cannot be decoded are left out."""
+    search = RepeatSearch()
+    for t, small in shrunken_frames(frames()):
+        search.add(t, small)
+    return search.repeats()
+
+
+def shrunken_frames(frames: Iterable[Frame]) -> Iterator[tuple[float, Array]]:
+    """Yield time (s) and shrunken grey image (h,w) uint8 of each frame that can be decoded."""
+    for frame in frames:
+        try:
+            yield frame.t, shrunken(frame)
+        except InputError:
+            continue
+
+
+def shrunken(frame: Frame) -> Array:
+    """A frame in grey, shrunken by means of pixels, (h,w) uint8. InputError where it cannot be decoded."""
+    if frame.shrinks:
+        return gray(frame.decode(SHRINK))
+    return shrink_grey(gray(frame.decode(1)))
+
+
+def shrink_grey(image: Array) -> Array:
+    """A grey image (H,W) uint8 as means of SHRINK by SHRINK pixels, (h,w) uint8."""
+    import cv2
+
+    height, width = image.shape
+    size = (max(width // SHRINK, 1), max(height // SHRINK, 1))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+
+
+def _judge(change: Array, equal: Array) -> tuple[Array, Array]:
+    """Which frames repeat their predecessor, and of which that can be told, both (N,)."""
+    finite = change[np.isfinite(change) & ~equal]
+    noise = float(np.percentile(finite, 5.0)) if len(finite) else 0.0
+    motion = np.where(np.isfinite(change) & ~equal, np.maximum(change - noise, 0.0), 0.0)
+    first = ~np.isfinite(change)
+    before, slows = _beside(motion)
+    after, quickens = (part[::-1] for part in _beside(motion[::-1]))
+    beside = np.minimum(before, after)
+    between_motion = (beside >= _LEAST_MOTION_GREY) & (motion <= _REPEAT_SHARE * beside) & ~(slows & quickens) & ~first
+    repeated = (equal & ~first) | between_motion
+    moving = between_motion | (motion >= _LEAST_MOTION_GREY)
+    judged = moving if moving.sum() >= _LEAST_JUDGED else moving | repeated
+    return repeated, judged
+
+
+def _beside(motion: Array) -> tuple[Array, Array]:
+    """The greater motion of the two frames before each, and whether the motion was falling before it, both (N,)."""
+    padded = np.pad(motion, (4, 0))
+    last = np.arange(len(motion)) + 3
+    greater = np.maximum(padded[last], padded[last - 1])
+    # of a frame stored three times the second copy has the first beside it
+    last = np.where(padded[last] > _REPEAT_SHARE * greater, last, last - 1)
+    earlier = np.maximum(padded[last - 1], padded[np.maximum(last - 2, 0)])
+    return greater, padded[last] <= _REVERSAL_SHARE * earlier
