@@ -90,12 +90,13 @@ def _fault(one: "Change", start: float) -> Fault:
     if one.kind == "joint":
         size, std = (nan, None) if one.alternatives else (-float(one.value[0]), float(one.std[0]))
         return Fault("encoders", name, "offset", since, size, one.unit, std)
-    turned = one.kind == "camera"
-    value, spread = (one.value[3:], one.std[3:]) if turned else (one.value[:3], one.std[:3])
-    size = float(value @ value) ** 0.5
-    sure = float((value / max(size, 1e-12)) ** 2 @ spread**2) ** 0.5
-    size, std = (nan, None) if one.alternatives else (size, sure)
-    return Fault("vision", name, "moved", since, size, "rad" if turned else "m", std)
+    assert one.shift is not None
+    if one.alternatives:
+        return Fault("vision", name, "moved", since, nan, "rad" if one.kind == "camera" else "m")
+    if one.kind == "camera":
+        assert one.turn is not None
+        return Fault("vision", name, "moved", since, one.turn[0], "rad", one.turn[1])
+    return Fault("vision", name, "moved", since, one.shift[0], "m", one.shift[1], *(one.turn or ()))
 
 
 def _differing(same: Fault, fault: Fault) -> Iterable[Finding]:
@@ -114,6 +115,7 @@ def _worth(one: "Change") -> str:
         factor, unit = (degrees(1.0), "°") if one.unit == "rad" else (1e3, " mm")
         value, std = -factor * one.value[0], factor * one.std[0]
         return f"{one.name}: reads {value:+.2f} ± {std:.2f}{unit} relative to the body, {sure}"
-    place = f"{1e3 * (one.value[:3] @ one.value[:3]) ** 0.5:.1f} mm"
-    turn = f" and turned by {degrees((one.value[3:] @ one.value[3:]) ** 0.5):.2f}°" if len(one.value) == 6 else ""
+    assert one.shift is not None
+    place = f"{1e3 * one.shift[0]:.1f} ± {1e3 * one.shift[1]:.1f} mm"
+    turn = "" if one.turn is None else f" and turned by {degrees(one.turn[0]):.2f} ± {degrees(one.turn[1]):.2f}°"
     return f"{one.name}: moved by {place}{turn}, {sure}"

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from .evaluation.figures import FIRST
 from .types import Estimate, Fault, Features, Finding, Series
+from .wording import quantity
 
 
 def fault_warnings(faults: Sequence[Fault]) -> tuple[Finding, ...]:
@@ -15,8 +16,8 @@ def _text(fault: Fault) -> str:
     since = f"{fault.sense} {fault.name}: {fault.kind} since {fault.since:.3f} s"
     # the size of an ambiguous fault is NaN
     known = fault.size == fault.size
-    sure = "" if fault.std is None else f" ± {fault.std:.2g}"
-    size = f", {fault.size:.4g}{sure} {fault.unit}" if known else "; the log does not determine which one"
+    size = f", {quantity(fault.size, fault.std, fault.unit)}" if known else "; the log does not determine which one"
+    size += "" if fault.turn is None else f", turned by {quantity(fault.turn, fault.turn_std, 'rad')}"
     first = "; from the start: homed differently, or the camera moved since the body was learned"
     body = "; relative to the body"
     compared = fault.kind == "moved" or (fault.kind == "offset" and fault.std is not None)

@@ -126,7 +126,7 @@ def fit(
     learned = replace(learned, model=robot_model.based(learned.model, robot, features))
     tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
     storage.save(learned.model, out)
-    findings = [*findings, *camera_findings, *unfit, *learned.findings, *more]
+    findings = [*findings, *camera_findings, *unfit, *learned.findings, *learned.faint, *more]
     scores = (*learned.scores, *tested)
     text = verdict.of_body(learned.model.joints, scores)
     return Result(out, scores, _merged(observed), tuple(findings), plain(settings), verdict=text)

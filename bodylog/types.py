@@ -190,7 +190,10 @@ class Recording:
 
 @dataclass(frozen=True)
 class Fault:
-    """One sensor that lied: which joint or sense, what kind, since when (s), how much ± std (`unit`, None: unknown)."""
+    """One sensor that lied: which joint or sense, what kind, since when (s), how much ± std (`unit`, None: unknown).
+
+    turn ± turn_std: rad by which a board also turned, whose size is the displacement of its centre; None otherwise.
+    """
 
     sense: str
     name: str
@@ -199,6 +202,8 @@ class Fault:
     size: float
     unit: str
     std: float | None = None
+    turn: float | None = None
+    turn_std: float | None = None
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,10 @@ import numpy as np
 from .evaluation.figures import EITHER, FIRST
 from .score_names import split
 from .types import Estimate, Fault, Score
+from .wording import quantity
 
 MOST = 3
-"""Faults, tracks or offsets that are written out; the others are counted."""
+"""Faults, tracks or offsets that are written out; of more than one other the names."""
 _SHORTEST_DELAY = 1e-3
 """s: shorter camera delays are left out."""
 
@@ -48,8 +49,11 @@ def of_batch(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
 
 
 def _first(lines: Sequence[str], what: str, joined: str | None = None) -> list[str]:
-    more = len(lines) - MOST
-    rest = [f"{more} more {what if more > 1 else what.removesuffix('s')}"] if more > 0 else []
+    """The first MOST lines, and the names of the rest; a single one more is a line itself."""
+    rest = lines[MOST:]
+    if len(rest) > 1:
+        names = ", ".join(dict.fromkeys(line.partition(":")[0] for line in rest))
+        rest = [f"{len(rest)} more {what}: {names}"]
     shown = [*lines[:MOST], *rest]
     return [joined.join(shown)] if joined is not None and shown else shown
 
@@ -61,8 +65,7 @@ def _of(values: Mapping[str, float], figure: str) -> dict[str, float]:
 
 def _fault(fault: Fault) -> str:
     known = fault.size == fault.size
-    std = "" if fault.std is None else f" ± {fault.std:.2g}"
-    size = f"{fault.size:.3g}{std} {fault.unit}"
+    size = quantity(fault.size, fault.std, fault.unit)
     text = _WORDS.get((fault.sense, fault.kind), _other)(fault, size, f"since {fault.since:.1f} s", known)
     return text if known or EITHER not in fault.name else f"{text} (the log cannot tell which)"
 
@@ -81,6 +84,15 @@ def _glitch(fault: Fault, size: str, since: str, known: bool) -> str:
     return f"{fault.name}: encoder is off by {size} for a moment at {fault.since:.1f} s"
 
 
+def _moved(fault: Fault, size: str, since: str, known: bool) -> str:
+    if not known:
+        return f"{fault.name}: moved since the body was learned"
+    if fault.unit == "rad":
+        return f"{fault.name}: turned since the body was learned, by {size}"
+    turn = "" if fault.turn is None else f" and turned by {quantity(fault.turn, fault.turn_std, 'rad')}"
+    return f"{fault.name}: its centre moved since the body was learned, by {size}{turn}"
+
+
 def _other(fault: Fault, size: str, since: str, known: bool) -> str:
     return f"{fault.name}: {fault.kind} ({fault.sense}) {since}{f', {size}' * known}"
 
@@ -94,7 +106,7 @@ _WORDS: Mapping[tuple[str, str], Callable[[Fault, str, str, bool], str]] = {
     ("encoders", "dead"): lambda f, size, since, known: f"{f.name}: encoder is silent {since}",
     ("vision", "frozen"): lambda f, size, since, known: f"{f.name}: its images are frozen {since}",
     ("vision", "displaced"): lambda f, size, since, known: f"{f.name}: camera moved {since}, by {size} in the image",
-    ("vision", "moved"): lambda f, size, _, known: f"{f.name}: moved since the body was learned{f', {size}' * known}",
+    ("vision", "moved"): _moved,
 }  # fmt: skip
 
 
@@ -143,7 +155,7 @@ def _held_out(track: str, value: float, values: Mapping[str, float]) -> str:
 
 def _offset(joint: str, value: float, values: Mapping[str, float]) -> str | None:
     std = values.get(f"std/offset/{joint}", 0.0)
-    return f"{joint}: zero is off by {value:+.3g} ± {std:.2g} rad" if abs(value) > 2.0 * std else None
+    return f"{joint}: zero is off by {quantity(value, std, 'rad', signed=True)}" if abs(value) > 2.0 * std else None
 
 
 def _tested(track: str, value: float, values: Mapping[str, float]) -> str:

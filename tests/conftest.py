@@ -54,6 +54,15 @@ def worlds() -> Path:
 
 
 @pytest.fixture(scope="session")
+def real() -> Path:
+    """Measurements of real robots, made by others."""
+    folder = SHARED.parent / "real"
+    if not folder.is_dir():
+        pytest.skip("the real robots (../shared/real) are not at hand")
+    return folder
+
+
+@pytest.fixture(scope="session")
 def arm_body(tmp_path_factory, arm, run_cli) -> Path:
     """The body learned from the arm's exploration."""
     body = tmp_path_factory.mktemp("arm") / "body.npz"

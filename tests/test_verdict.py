@@ -29,19 +29,35 @@ def test_verdict_without_truth_gives_typical_error_bars() -> None:
 @pytest.mark.parametrize(
     ("fault", "text"),
     [
-        (Fault("encoders", JOINTS[0], "drifting", 8.8, 0.302, "rad"), "encoder drifts since 8.8 s, by 0.302 rad"),
-        (Fault("encoders", JOINTS[0], "drifting", 0.2, -0.1, "rad"), "encoder is off from the start, by -0.1 rad"),
-        (Fault("encoders", JOINTS[0], "jumping", 5.0, 0.2, "rad"), "encoder jumps by 0.2 rad at 5.0 s"),
+        (
+            Fault("encoders", JOINTS[0], "drifting", 8.8, 0.302, "rad"),
+            "encoder drifts since 8.8 s, by 0.302 rad (17.3°)",
+        ),
+        (
+            Fault("encoders", JOINTS[0], "drifting", 0.2, -0.1, "rad"),
+            "encoder is off from the start, by -0.1 rad (-5.73°)",
+        ),
+        (Fault("encoders", JOINTS[0], "jumping", 5.0, 0.2, "rad"), "encoder jumps by 0.2 rad (11.5°) at 5.0 s"),
         (Fault("encoders", JOINTS[0], "frozen", 5.0, 0.0, "rad"), "encoder is frozen since 5.0 s"),
         (Fault("encoders", JOINTS[0], "dead", 5.0, 0.0, "rad"), "encoder is silent since 5.0 s"),
-        (Fault("encoders", JOINTS[0], "offset", 0.0, 0.1, "rad", 0.01), "encoder is off by 0.1 ± 0.01 rad since 0.0 s"),
-        (Fault("encoders", JOINTS[0], "new kind", 1.0, 2.0, "rad"), "new kind (encoders) since 1.0 s, 2 rad"),
+        (
+            Fault("encoders", JOINTS[0], "offset", 0.0, 0.1, "rad", 0.01),
+            "encoder is off by 0.1 ± 0.01 rad (5.73 ± 0.57°) since 0.0 s",
+        ),
+        (Fault("encoders", JOINTS[0], "new kind", 1.0, 2.0, "rad"), "new kind (encoders) since 1.0 s, 2 rad (115°)"),
     ],
 )
 def test_verdict_names_a_fault_first(fault: Fault, text: str) -> None:
     lines = of_estimate(replace(SOUND, faults=(fault,)), TRUTH)
     assert lines[0] == f"{fault.name}: {text}"
     assert lines[1] == f"no fault found in {len(JOINTS) - 1} encoders and effector"
+
+
+def test_a_moved_board_has_the_displacement_of_its_centre_and_its_turn() -> None:
+    moved = Fault("vision", "board", "moved", 0.0, 0.0031, "m", 0.0003, 0.0367, 0.001)
+    lines = of_estimate(replace(SOUND, faults=(moved,)), TRUTH)
+    displacement = "board: its centre moved since the body was learned, by 3.1 ± 0.3 mm"
+    assert lines[0] == f"{displacement} and turned by 0.0367 ± 0.001 rad (2.1 ± 0.057°)"
 
 
 def test_verdict_admits_ambiguity_between_two_joints() -> None:
@@ -62,7 +78,12 @@ def test_verdict_excludes_tracks_of_a_faulty_camera() -> None:
 def test_verdict_stays_short_with_many_faults() -> None:
     many = tuple(Fault("encoders", f"j{k}", "frozen", 1.0, 0.0, "rad") for k in range(9))
     lines = of_estimate(replace(SOUND, faults=many), TRUTH)
-    assert len(lines) == 6 and lines[3] == "6 more faults"
+    assert len(lines) == 6 and lines[3] == "6 more faults: j3, j4, j5, j6, j7, j8"
+
+
+def test_a_fourth_fault_is_told_as_the_others() -> None:
+    four = tuple(Fault("encoders", f"j{k}", "frozen", 1.0, 0.0, "rad") for k in range(4))
+    assert of_estimate(replace(SOUND, faults=four), TRUTH)[3] == "j3: encoder is frozen since 1.0 s"
 
 
 def test_delays_are_stated_unless_they_are_tiny() -> None:
@@ -88,7 +109,7 @@ def test_body_verdict_states_holdout_error_and_sure_offsets() -> None:
     assert of_body(("pan", "lift"), scores) == (
         "learned over 2 joints: pan, lift",
         "tip: error 0.39 px on held-out parts of the log, 1.30 of the variance expected",
-        "pan: zero is off by +0.035 ± 0.002 rad",
+        "pan: zero is off by +0.035 ± 0.002 rad (+2.01 ± 0.11°)",
     )
 
 

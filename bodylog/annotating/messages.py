@@ -204,7 +204,7 @@ def _faults(faults: Sequence[Fault], joints: Series, start_ns: int) -> Outgoing:
             ("string", fault.kind),
             ("float64", fault.size),
             ("string", fault.unit),
-            ("float64", np.nan if fault.std is None else fault.std),
+            *(("float64", np.nan if v is None else v) for v in (fault.std, fault.turn, fault.turn_std)),
         ]
         parts.append((np.array([i]), cdr.serialise(1, fields)))
     last = np.searchsorted(joints.t, [fault.since for fault in faults], "right") - 1

@@ -49,10 +49,16 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
 """Type -> the fields to read back."""
 
 
+FAULT_DOUBTS = ("std", "turn", "turn_std")
+"""Fields of a fault that are NaN where they are not known; the oldest files have none of them."""
+
+
 def _fields(topic: Topic) -> tuple[str, ...]:
-    """The fields of a topic; older faults have no standard deviation."""
-    more = ("std",) if topic.type.endswith("/Fault") and b"float64 std" in topic.definition else ()
-    return (*_FIELDS[topic.type], *more)
+    """The fields of a topic; older faults lack some."""
+    fields = _FIELDS[topic.type]
+    if topic.type.endswith("/Fault"):
+        fields = (*fields, *(name for name in FAULT_DOUBTS if f"float64 {name}\n".encode() in topic.definition))
+    return fields
 
 
 def read_metadata(path: Path) -> dict[str, str]:
@@ -222,10 +228,10 @@ class _Table:
         """Faults in order of onset."""
         found = []
         for (stamp, sense, name, kind, size, unit, *more), _ in self._parts(PREFIX + "faults"):
-            spread = more[0] if more else np.full(len(size), np.nan)
-            for since, amount, std in zip((stamp - self.start_ns) / 1e9, size, spread.tolist(), strict=True):
-                known = None if std != std else std
-                found.append(Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0], known))
+            doubts = np.stack([*more, *(np.full(len(size), np.nan) for _ in FAULT_DOUBTS[len(more) :])], axis=1)
+            for since, amount, row in zip((stamp - self.start_ns) / 1e9, size, doubts.tolist(), strict=True):
+                known = (None if value != value else value for value in row)
+                found.append(Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0], *known))
         return tuple(sorted(found, key=lambda fault: (fault.since, fault.sense, fault.name)))
 
     def effector(self) -> Poses | None:

@@ -5,33 +5,41 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from ..body_model import Noise
+from ..sources import group_of
 from ..types import Features, Finding, Score
 from .data.pairs import Joint, joints, moves, sparse_joints
 from .gp.model import GP
 
 
 def scores(chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> Iterator[Score]:
-    """Yield each joint's range, its influence on each track, and the model's std beside the pixel noise."""
+    """Yield each joint's range, its influence on each track or board, and the model's std beside the pixel noise."""
     for joint in chosen:
         yield Score(f"range/{joint.name}", joint.range, "rad")
-    for name, gp in senses.items():
-        for joint, size in zip(chosen, influence(gp), strict=True):
-            yield Score(f"influence/{name}/{joint.name}", size, gp.unit)
-        spread = gp.predict(gp.samples)[2]
-        yield Score(f"std/model/{name}", float(np.sqrt(spread.mean())), gp.unit)
-        yield Score(f"std_over_noise/model/{name}", float(np.sqrt(spread.mean() / np.mean(noise.senses[name]))), "1")
+    for group, models in _grouped(senses).items():
+        unit = next(iter(models.values())).unit
+        for joint, size in zip(chosen, group_influence(models), strict=True):
+            yield Score(f"influence/{group}/{joint.name}", size, unit)
+        spread = float(np.mean([gp.predict(gp.samples)[2].mean() for gp in models.values()]))
+        pixels = float(np.mean([noise.senses[name] for name in models]))
+        yield Score(f"std/model/{group}", spread**0.5, unit)
+        yield Score(f"std_over_noise/model/{group}", (spread / pixels) ** 0.5, "1")
 
 
-def findings(known: Sequence[Joint], chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> list[Finding]:
-    """Joints that vision does not observe: those that did not move, and those with less influence than pixel noise."""
+def still_findings(known: Sequence[Joint], chosen: Sequence[Joint]) -> list[Finding]:
+    """Remarks on joints that did not move."""
     still = [joint for joint in known if joint not in chosen]
     left_out = "left out: vision does not observe it"
-    found = [Finding("info", f"{j.name}: moved {j.range:.3f} rad, {left_out}") for j in still]
-    for name, gp in senses.items():
-        least = float(np.sqrt(np.mean(noise.senses[name])))
-        for joint, size in zip(chosen, influence(gp), strict=True):
+    return [Finding("info", f"{joint.name}: moved {joint.range:.3f} rad, {left_out}") for joint in still]
+
+
+def faint_findings(chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> list[Finding]:
+    """Warnings for joints whose motion moves a track, or all of a board, by less than its noise."""
+    found = []
+    for group, models in _grouped(senses).items():
+        least = float(np.sqrt(np.mean([noise.senses[name] for name in models])))
+        for joint, size in zip(chosen, group_influence(models), strict=True):
             if size < least:
-                moved = f"{joint.name}: moved {joint.range:.3f} rad, {name} only {size:.2f} px"
+                moved = f"{joint.name}: moved {joint.range:.3f} rad, {group} only {size:.2f} px"
                 found.append(Finding("warning", f"{moved}: vision hardly observes it"))
     return found
 
@@ -47,6 +55,20 @@ def missing_findings(features: Sequence[Features], names: Sequence[str], wanted:
             moved = f"{joint.name}: moved {joint.range:.3f} rad but is not among the joints learned"
             found.append(Finding("warning", f"{moved}: its motion is an error of vision"))
     return found
+
+
+def _grouped(senses: Mapping[str, GP]) -> dict[str, dict[str, GP]]:
+    """The models of each track, or of each board together."""
+    groups: dict[str, dict[str, GP]] = {}
+    for name, gp in senses.items():
+        groups.setdefault(group_of(name), {})[name] = gp
+    return groups
+
+
+def group_influence(models: Mapping[str, GP]) -> list[float]:
+    """Root mean square effect of each joint's motion on a track, or on all tracks of a board, in their unit."""
+    effects = [influence(gp) for gp in models.values()]
+    return [float(value) for value in np.sqrt(np.mean(np.square(effects), axis=0))]
 
 
 def influence(gp: GP) -> list[float]:

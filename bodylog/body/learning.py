@@ -34,7 +34,8 @@ from .senses import encoder_calibration, encoder_function, touch, track
 class Learned:
     """A body model, its scores on held-out data, remarks on the exploration, and the joints it was learned over.
 
-    poor: tracks, and why, that a Gaussian process alone cannot explain, kept for kinematics.
+    poor: tracks, and why, that a Gaussian process alone cannot explain, kept for kinematics · faint: warnings for
+    joints whose motion the senses hardly show.
     """
 
     model: BodyModel
@@ -42,6 +43,7 @@ class Learned:
     findings: tuple[Finding, ...]
     joints: tuple[Joint, ...] = ()
     poor: Mapping[str, str] = field(default_factory=dict)
+    faint: tuple[Finding, ...] = ()
 
 
 @one_thread("scipy.linalg")
@@ -76,16 +78,17 @@ def learn(
         given = {n: g for n, g in update.senses.items() if n not in _seen(update)}
         constants, cells = (constants, {**update.cells, **cells}) if touched else (update.touch, update.cells)
     scores = (*exploration_report.scores(chosen, gps, learned), *_scores(senses, names, learned), *read.scores)
-    covered = exploration_report.findings([j for j in available if j in chosen or not moves(j)], chosen, gps, learned)
+    still = exploration_report.still_findings([j for j in available if j in chosen or not moves(j)], chosen)
     gaps = exploration_report.missing_findings(angled, [j.name for j in available], wanted)
     dropped = _dropped(features, senses, poor)
     about = {**_pictures(features), **repeated, **provenance}
     return Learned(
         BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, about, cells),
         scores,
-        (trainable.moved(available, chosen), *covered, *absurd, *unseen, *gaps, *dropped, *touched, *read.findings),
+        (trainable.moved(available, chosen), *still, *absurd, *unseen, *gaps, *dropped, *touched, *read.findings),
         tuple(chosen),
         {name: reason for name, reason in poor.items() if name in senses},
+        tuple(exploration_report.faint_findings(chosen, gps, learned)),
     )
 
 

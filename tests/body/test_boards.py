@@ -1,16 +1,20 @@
 """Boards: all points share a camera, a pose and the joints' zeros; each point is a sense."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bodylog import body
 from bodylog.body import storage as files
 from bodylog.body import test_scores
+from bodylog.body.kinematic import change
 from bodylog.body.kinematic.learn import learn
 from bodylog.body.kinematic.model import KinematicGP
 from bodylog.body.kinematic.offsets import learned as offsets
+from bodylog.kinematics.rotations import exponential
 from bodylog.settings import Settings
-from bodylog.types import Features, Series
+from bodylog.types import Features, Finding, Series
 from tests.body.test_kinematic import DEGREE, OFFSETS, _bent, given
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM, JOINTS
@@ -19,17 +23,19 @@ STEP = 1e-6
 RARE = 7
 
 
-def image(q, rig=None):
+def image(q, rig=None, board=None):
+    """Places (N,12,2) px of the corners; `board`: unknowns (6,) of its pose on the tool."""
     rig = robots.board() if rig is None else rig
     theta = rig.prior[0].copy()
+    theta[rig.of_carrier(0)] = 0.0 if board is None else board
     theta[rig.of_joints] = [OFFSETS.get(name, 0.0) for name in JOINTS]
     return rig.see(rig.sights[0], theta, q).image + _bent(q, 2.0)[:, None]
 
 
-def features(q, seed=1, camera="", turned=None) -> Features:
+def features(q, seed=1, camera="", turned=None, board=None) -> Features:
     """Still poses with a board on the tool: corners hidden at random, one of them nearly always."""
     draw = np.random.default_rng(seed)
-    places = image(q) + draw.normal(0.0, 0.1, (len(q), 12, 2))
+    places = image(q, board=board) + draw.normal(0.0, 0.1, (len(q), 12, 2))
     places[draw.random((len(q), 12)) < 0.2] = np.nan
     places[4:, RARE] = np.nan
     t = np.arange(len(q), dtype=float)
@@ -84,6 +90,30 @@ def test_scores_and_findings_name_the_board_and_not_each_corner(learned):
     assert not any(name.startswith("rmse/held_out/board.") for name in names)
     assert not any(one.text.startswith("board.") for one in learned.findings)
     assert any(one.text.startswith("board: camera on base, marker on ") for one in learned.findings)
+
+
+def test_observability_is_that_of_kinematics_and_not_of_a_process_without_it(explored):
+    alone = body.learn([explored], Settings(), {}, None, True)
+    said = (Finding("warning", "lift: moved 0.9 rad, board only 3 px: vision hardly observes it"),)
+    found = learn([explored], Settings(), replace(alone, faint=said), given())
+    assert found.faint == ()
+    effects = {s.name: s.value for s in found.scores if s.name.startswith("influence/")}
+    assert set(effects) == {f"influence/board/{name}" for name in JOINTS}
+    assert min(effects.values()) > 10.0
+
+
+def test_displacement_is_that_of_the_boards_own_centre_and_not_of_its_links_origin(learned):
+    rig = robots.board()
+    carrier, points = rig.carriers[0], rig.sights[0].points
+    centre = carrier.anchor[:3, :3] @ points.mean(axis=0) + carrier.anchor[:3, 3]
+    turn, shift = np.array([0.0, 0.06, 0.04]), np.array([0.002, 0.0, -0.0022])
+    # p -> exp(w) p + v turns about the link's origin, 13 cm away
+    board = np.concatenate([centre + shift - exponential(turn) @ centre, turn])
+    assert np.linalg.norm(board[:3]) > 1.4 * np.linalg.norm(shift)
+    (one,) = change.changes(features(robots.angles(60, seed=11), seed=5, board=board), learned.model)
+    assert (one.kind, one.name) == ("marker", "board")
+    assert abs(one.shift[0] - np.linalg.norm(shift)) < 3 * one.shift[1] < 0.0015
+    assert abs(one.turn[0] - np.linalg.norm(turn)) < 3 * one.turn[1] < 0.03
 
 
 def test_save_keeps_each_board_corner_exactly(learned, tmp_path):

@@ -111,7 +111,7 @@ def test_change_findings_name_a_change_once_with_its_std(known):
     assert (fault.sense, fault.name, fault.kind) == ("encoders", "elbow", "offset")
     assert abs(fault.size + 3 * DEGREE) < 3 * fault.std
     (text,) = fault_warnings(estimated.faults)
-    assert f"± {fault.std:.2g} rad; relative to the body" in text.text
+    assert f"± {fault.std:.2g} rad (" in text.text and text.text.endswith("°); relative to the body")
     assert any(f.text.startswith("elbow: reads -") and "nats likelier" in f.text for f in estimated.findings)
 
 

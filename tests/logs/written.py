@@ -73,6 +73,7 @@ def found(seed=0, steps=300, frames=90):
         faults=(
             Fault("encoders", "elbow", "drift", 1.5, 0.25, "rad", 0.01),
             Fault("effector", "u", "jump", 2.0, 9.0, "px"),
+            Fault("vision", "board", "moved", 2.5, 0.003, "m", 0.0002, 0.04, 0.001),
         ),
         findings=(Finding("warning", "the elbow's encoder drifts"),),
         effector=effector(rng, joints),

@@ -12,8 +12,10 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import InputError
+from ...kinematics.rig import Rig
+from ...kinematics.rotations import logarithm
 from ...runtime.blas_threads import one_thread
-from ...types import Array, Features
+from ...types import Array, Board, Features
 from ..data.pairs import coupled, joints, pairs
 from ..data.subsampling import spaced
 from .change_system import Fit, Part, Problem, Track, cleaned, fitted, linear, linearised
@@ -34,6 +36,8 @@ MOST, FEWEST = 200, 10
 _ONSETS = 8
 _PROMISING = 6
 _FINER = 4
+_STEP = 1e-6
+"""m, rad: step of numerical derivatives of a pose."""
 _NEAR = np.array([-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8])
 
 
@@ -41,8 +45,9 @@ _NEAR = np.array([-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8])
 class Change:
     """One change since the body was learned: `kind` joint, camera or marker · value ± std (K,) rad or m · nats won.
 
-    A joint has one value, its zero's; a camera place (3) m and rotation (3) rad; a marker its place, a board also its
-    rotation. since: s, None from the start on · alternatives: explanations nearly as good · unit: of a joint's.
+    A joint has one value, its zero's. shift: by how far a camera's or marker's own centre moved ± std, m · turn: by
+    how much a camera or board turned ± std, rad. since: s, None from the start on · alternatives: explanations nearly
+    as good · unit: of a joint's.
     """
 
     kind: str
@@ -53,6 +58,8 @@ class Change:
     since: float | None = None
     alternatives: tuple[str, ...] = ()
     unit: str = "rad"
+    shift: tuple[float, float] | None = None
+    turn: tuple[float, float] | None = None
 
 
 @one_thread("scipy.linalg")
@@ -68,7 +75,8 @@ def changes(features: Features, body: BodyModel) -> tuple[Change, ...]:
     if sum(len(kept) for kept in problem.kept) < FEWEST:
         return ()
     found = _paired(_searched(problem, len(body.joints)), problem)
-    return tuple(one for one in _weighted_changes(found) if one.kind != "joint" or abs(one.value[0]) > LEAST)
+    centres = _centres(problem, features.boards)
+    return tuple(one for one in _weighted_changes(found, centres) if one.kind != "joint" or abs(one.value[0]) > LEAST)
 
 
 _Alternatives = tuple[tuple[str, str], ...]
@@ -113,12 +121,13 @@ def _paired(found: _Search, problem: Problem) -> _Search:
     return _Search(problem, best, fit, dict.fromkeys((part.thing for part in best), ()))
 
 
-def _weighted_changes(found: _Search) -> Iterator[Change]:
-    """Yield every part with the nats lost without it."""
+def _weighted_changes(found: _Search, centres: Mapping[str, Array]) -> Iterator[Change]:
+    """Yield every part with the nats lost without it; centres: of markers (3,) m."""
     for part in found.parts:
         others = tuple(one for one in found.parts if one is not part)
         without = fitted(found.problem, others, found.fit.unknowns)
-        yield _change(part, found.fit, found.fit.evidence - without.evidence, found.alternatives[part.thing])
+        change = _change(part, found.fit, found.fit.evidence - without.evidence, found.alternatives[part.thing])
+        yield _displaced(change, part, found, centres)
 
 
 def _needed(problem: Problem, parts: tuple[Part, ...], fit: Fit) -> tuple[tuple[Part, ...], Fit]:
@@ -230,3 +239,62 @@ def _change(part: Part, fit: Fit, nats: float, alternatives: _Alternatives) -> C
     names = tuple(name for _, name in alternatives)
     value, std = fit.unknowns[part.place], fit.std[part.place]
     return Change(part.kind, part.name, value, std, nats, since, names, part.unit)
+
+
+def _centres(problem: Problem, boards: Mapping[str, Board]) -> dict[str, Array]:
+    """Each marker's centre (3,) m, in the marker: of all corners of a board, else of the points seen."""
+    points = dict[str, list[Array]]()
+    for track in problem.tracks:
+        points.setdefault(track.model.rig.carriers[0].name, []).append(track.model.rig.sights[0].points[0])
+    centres = {name: np.mean(seen, axis=0) for name, seen in points.items()}
+    whole = {name.rpartition("/")[2]: corners.mean(axis=0) for name, (_, corners) in boards.items()}
+    return {name: whole.get(name, centre) for name, centre in centres.items()}
+
+
+def _displaced(change: Change, part: Part, found: _Search, centres: Mapping[str, Array]) -> Change:
+    """The change with the displacement of its own centre, and its turn; unchanged for a joint.
+
+    A pose's unknowns turn a marker about the origin of its link, which may be far from it: their first three numbers
+    are no displacement of the marker.
+    """
+    if change.kind == "joint":
+        return change
+    model = next(track.model for track in found.problem.tracks if _shows(track.model.rig, part))
+    rig, theta = model.rig, model.theta
+    place = rig.of_camera(0) if change.kind == "camera" else rig.of_carrier(0)
+    centre = np.zeros(3) if change.kind == "camera" else centres[change.name]
+    size = part.place.stop - part.place.start
+
+    def pose(unknowns: Array) -> Array:
+        """The camera or marker in its link (4,4), with its unknowns (3,) or (6,) changed."""
+        changed = theta.copy()
+        changed[place.start : place.start + size] += unknowns
+        return np.linalg.inv(rig.camera_pose(0, changed)) if change.kind == "camera" else rig.carrier_pose(0, changed)
+
+    before, after = pose(np.zeros(size)), pose(change.value)
+
+    def displacement(there: Array) -> Array:
+        """How far its centre is from where it was (3,) m, and its turn (3,) rad from `after`."""
+        moved = (there - before)[:3, :3] @ centre + (there - before)[:3, 3]
+        return np.concatenate([moved, logarithm(there[:3, :3] @ after[:3, :3].T)])
+
+    steps = _STEP * np.eye(size)
+    slope = np.stack(
+        [displacement(pose(change.value + h)) - displacement(pose(change.value - h)) for h in steps], axis=1
+    ) / (2.0 * _STEP)
+    cov = slope @ found.fit.cov[part.place, part.place] @ slope.T
+    turned = logarithm(after[:3, :3] @ before[:3, :3].T)
+    shift = _length(displacement(after)[:3], cov[:3, :3])
+    return replace(change, shift=shift, turn=_length(turned, cov[3:, 3:]) if size == 6 else None)
+
+
+def _shows(rig: Rig, part: Part) -> bool:
+    """Whether a rig of one camera and one marker has the camera or marker of a part."""
+    return (rig.cameras[0] if part.kind == "camera" else rig.carriers[0]).name == part.name
+
+
+def _length(vector: Array, cov: Array) -> tuple[float, float]:
+    """The length of a vector (3,) with covariance (3,3), and its standard deviation."""
+    length = float(np.linalg.norm(vector))
+    along = vector / max(length, 1e-12)
+    return length, float(along @ cov @ along) ** 0.5

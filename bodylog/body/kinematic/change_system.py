@@ -68,11 +68,16 @@ class System:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Most likely unknowns u (P,) of some parts, their std (P,), and the evidence in nats."""
+    """Most likely unknowns u (P,) of some parts, their covariance (P,P), and the evidence in nats."""
 
     unknowns: Array
-    std: Array
+    cov: Array
     evidence: float
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations (P,) of the unknowns."""
+        return np.asarray(np.sqrt(np.diag(self.cov)))
 
 
 def cleaned(problem: Problem) -> Problem:
@@ -111,11 +116,12 @@ def fitted(problem: Problem, parts: Sequence[Part], begin: Array | None = None) 
         step = np.zeros(len(problem.std))
         step[chosen] = at[about.before :] * problem.std[chosen] - unknowns[chosen]
         unknowns = unknowns + step
-        std = np.zeros(len(problem.std))
-        std[chosen] = np.sqrt(np.diag(covariance)[about.before :]) * problem.std[chosen]
-        if (np.abs(step[chosen]) <= 0.02 * std[chosen]).all():
+        scales = problem.std[chosen]
+        cov = np.zeros((len(problem.std), len(problem.std)))
+        cov[np.ix_(chosen, chosen)] = covariance[about.before :, about.before :] * np.outer(scales, scales)
+        if (np.abs(step[chosen]) <= 0.02 * np.sqrt(np.diag(cov)[chosen])).all():
             break
-    return Fit(unknowns, std, evidence)
+    return Fit(unknowns, cov, evidence)
 
 
 def linear(about: System, problem: Problem, parts: Sequence[Part]) -> float:

@@ -11,7 +11,9 @@ from ...kinematics.links import CameraHint, Found, Track, find
 from ...kinematics.robot import Robot, implausible
 from ...runtime.blas_threads import one_thread
 from ...settings import Settings
+from ...sources import group_of
 from ...types import Features, Finding
+from .. import exploration_report
 from ..gp.model import GP
 from ..learning import Learned
 from ..senses import encoder_function
@@ -138,11 +140,17 @@ def learned(
     senses = {name: models(rig, k, both, name) for k, name in enumerate(both.parts)}
     all_scores = [*(s for name, of in senses.items() for s in scores(name, of, both.parts[name])), *zeros(offsets)]
     found = _apart(found, {track for one in shown.values() if len(one.points) > 1 for track in one.tracks})
-    kept = {score.name: score for score in (*found.scores, *all_scores)}
+    found = _with(found, senses, both)
+    observed = {track: model for of in senses.values() for track, model in of.items()}
+    reported = exploration_report.scores(found.joints, observed, found.model.noise)
+    kept = {score.name: score for score in (*found.scores, *reported, *all_scores)}
+    groups = {group_of(track) for track in observed}
+    rest = {n: gp for n, gp in plain.items() if n in found.model.senses and group_of(n) not in groups}
     return replace(
-        _with(found, senses, both),
+        found,
         scores=tuple(kept.values()),
         findings=(*found.findings, *findings(links, offsets, gains)),
+        faint=tuple(exploration_report.faint_findings(found.joints, {**rest, **observed}, found.model.noise)),
     )
 
 

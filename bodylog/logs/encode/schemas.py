@@ -36,6 +36,8 @@ _PARTS = {
     "bodylog_msgs/Fault": (
         "# A sensor that lied since header.stamp: by `size` +- `std` in `unit` (NaN: not known).\n"
         "std_msgs/Header header\nstring sense\nstring name\nstring kind\nfloat64 size\nstring unit\nfloat64 std\n"
+        "# A moved board also turned by `turn` +- `turn_std` rad (NaN: no board, or not known).\n"
+        "float64 turn\nfloat64 turn_std\n"
     ),
     "foxglove_msgs/Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a\n",
     "foxglove_msgs/Point2": "float64 x\nfloat64 y\n",
