@@ -17,16 +17,16 @@ def offsets(body: Path, out: Path | None, urdf: Path | None, as_json: bool) -> i
 
     The body must be learned with a URDF; joint scales are printed where they were unknown.
     """
-    from bodylog import joint_zeros
+    from bodylog import calibration
     from bodylog.pipeline import Result
 
     from .output import entry, line, print_json
 
-    found, scales = joint_zeros.zeros(body)
+    found, scales = calibration.zeros(body)
     if out is not None:
-        joint_zeros.write(found, scales, out, urdf)
+        calibration.write(found, scales, out, urdf)
     if as_json:
-        print_json([entry(Result(out), body) | joint_zeros.tables(found, scales)])
+        print_json([entry(Result(out), body) | calibration.tables(found, scales)])
         return 0
     width = max(len(one.joint) for one in found)
     for one in (*found, *scales):

@@ -40,7 +40,7 @@ ROOMS = {
 LAYERS = (
     {"effector_poses", "joint_limits", "robot_model"},
     {"observed", "written_messages"},
-    {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "joint_zeros",
+    {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "calibration",
      "joints_only", "online", "scoring", "verdict"},
     {"delay_findings", "result"},
     {"pipeline"},
