@@ -1,59 +1,234 @@
-"""Write joint zeros and scales as a table in YAML or JSON, or into a URDF."""
+"""The calibration of a body learned with a URDF: as plain values, as text, and in the files that people use."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .body.kinematic.offsets import tables
+from .body.kinematic.offsets import plain
 from .errors import ModelError, UsageError
 
 if TYPE_CHECKING:
+    from .body.kinematic.placements import Calibration, Lens, Placement
+    from .body_model import BodyModel
     from .kinematics.identifiability import Offset
-
-__all__ = ["FORMS", "tables", "write", "zeros"]
 
 FORMS = (".yaml", ".yml", ".json", ".urdf")
 
 
-def zeros(body: Path) -> "tuple[tuple[Offset, ...], tuple[Offset, ...]]":
-    """The joint zeros of a body learned with a URDF, and the scales if they are unknowns."""
+def load(body: Path) -> "Calibration":
+    """The calibration of a body file; ModelError where it was learned without a URDF."""
     from .body import storage
-    from .body.kinematic import offsets
+    from .body.kinematic.placements import calibration
 
     learned = storage.load(body)
     try:
-        return offsets.learned(learned), offsets.scaled(learned)
+        return calibration(learned)
     except ModelError as problem:
         raise ModelError(f"{body}: {problem}") from problem
 
 
-def write(found: "tuple[Offset, ...]", scales: "tuple[Offset, ...]", out: Path, urdf: Path | None) -> None:
-    """Write by the file's suffix; a URDF is `urdf` with the identifiable zeros added. UsageError for other suffixes."""
+def table(found: "Calibration") -> dict[str, Any]:
+    """As plain values, in m, rad and px: {"cameras", "markers", "zeros", "scales"}; None: not identifiable."""
+    cameras = zip(found.cameras, found.lenses, strict=True)
+    return {
+        "cameras": {camera_name(one.name): _pose(one) | _lens(lens) for one, lens in cameras},
+        "markers": {one.name: _pose(one) for one in found.markers},
+        "zeros": plain(found.zeros),
+        "scales": plain(found.scales),
+    }
+
+
+def camera_name(name: str) -> str:
+    """A camera's name as in the scores: that of its tracks, "camera" where they have no prefix."""
+    return name.removeprefix("camera ")
+
+
+def _pose(one: "Placement") -> dict[str, Any]:
+    from .kinematics.rotations import quaternions
+
+    sure, turned = one.identifiable, one.identifiable and one.turns
+    return {
+        "link": one.link,
+        "xyz_m": one.pose[:3, 3].tolist() if sure else None,
+        "xyz_std_m": one.place_std.tolist(),
+        "quaternion_xyzw": quaternions(one.pose[None, :3, :3])[0].tolist() if turned else None,
+        "rotation_std_rad": one.turn_std.tolist() if one.turns else None,
+    }
+
+
+def _lens(lens: "Lens") -> dict[str, Any]:
+    return {
+        "focal_px": lens.focal.tolist(),
+        "focal_std_px": lens.focal_std.tolist(),
+        "centre_px": lens.centre.tolist(),
+        "centre_std_px": lens.centre_std.tolist(),
+        "distortion": lens.distortion.tolist(),
+        "distortion_std": lens.distortion_std.tolist(),
+        "row_time_s": None,
+        "row_time_std_s": None,
+    }
+
+
+def summary(model: "BodyModel") -> tuple[str, ...]:
+    """Where each camera and marker of a body is, a line each; empty where it was learned without a URDF."""
+    from .body.kinematic.model import KinematicGP
+    from .body.kinematic.placements import calibration
+
+    if not any(isinstance(sense, KinematicGP) for sense in model.senses.values()):
+        return ()
+    found = calibration(model)
+    texts = []
+    for camera, lens in zip(found.cameras, found.lenses, strict=True):
+        texts.append(f"{next(placement_lines(camera))}, focal {_values(lens.focal, lens.focal_std, 1)} px")
+    return (*texts, *(next(placement_lines(one)) for one in found.markers))
+
+
+def lines(found: "Calibration") -> Iterator[str]:
+    """Yield the calibration in mm, degrees and px, with the transforms to type."""
+    for camera, lens in zip(found.cameras, found.lenses, strict=True):
+        yield from placement_lines(camera)
+        yield f"  {lens_line(lens)}"
+        if camera.identifiable:
+            yield f"  {transform_command(camera)}"
+    for marker in found.markers:
+        yield from placement_lines(marker)
+    yield from zero_lines((*found.zeros, *found.scales))
+
+
+def placement_lines(one: "Placement") -> Iterator[str]:
+    """Yield where a camera or marker is in its link, in mm and degrees (roll, pitch, yaw)."""
+    if not one.identifiable:
+        yield f"{one.name} in {one.link}: not identifiable"
+        return
+    yield f"{one.name} in {one.link}: {_values(1e3 * one.pose[:3, 3], 1e3 * one.place_std, 1)} mm"
+    if one.turns:
+        import numpy as np
+
+        from .kinematics.rotations import to_rpy
+
+        angles = np.degrees(to_rpy(one.pose[:3, :3]))
+        std = np.degrees(one.turn_std)
+        texts = ", ".join(f"{value:.2f}" for value in angles)
+        yield f"  roll, pitch, yaw {texts}°, ± {', '.join(f'{value:.2f}' for value in std)}° about x, y, z"
+
+
+def lens_line(lens: "Lens") -> str:
+    """A lens in px."""
+    focal = _values(lens.focal, lens.focal_std, 1)
+    centre = _values(lens.centre, lens.centre_std, 1)
+    return f"focal {focal} px, centre {centre} px, k1, k2 {_values(lens.distortion, lens.distortion_std, 3)}"
+
+
+def _values(values: Any, stds: Any, digits: int) -> str:
+    pairs = zip(values.tolist(), stds.tolist(), strict=True)
+    return ", ".join(f"{value:.{digits}f} ± {std:.{digits}f}" for value, std in pairs)
+
+
+def zero_lines(found: "Sequence[Offset]") -> Iterator[str]:
+    """Yield each joint's zero in degrees or mm, each scale in percent, or what it cannot be told from."""
+    width = max((len(one.joint) for one in found), default=0)
+    for one in found:
+        shown = one.shown if one.identifiable else f"not identifiable: {' and '.join(one.confused) or 'not seen'}"
+        yield f"{one.joint:<{width}}  {'scale ' if one.noun == 'scale' else ''}{shown}"
+
+
+def transform_command(camera: "Placement") -> str:
+    """The command that publishes a camera's pose to tf (ROS 2)."""
+    values = _pose(camera)
+    place = zip("xyz", values["xyz_m"], strict=True)
+    turn = zip(("qx", "qy", "qz", "qw"), values["quaternion_xyzw"], strict=True)
+    numbers = " ".join(f"--{name} {value:.6f}" for name, value in (*place, *turn))
+    frames = f"--frame-id {camera.link} --child-frame-id {optical_frame(camera)}"
+    return f"ros2 run tf2_ros static_transform_publisher {numbers} {frames}"
+
+
+def optical_frame(camera: "Placement") -> str:
+    """The name of a camera's optical frame beside its link."""
+    return f"{camera_name(camera.name).replace('/', '_')}_optical_frame"
+
+
+def write(found: "Calibration", out: Path, urdf: Path | None, values: Mapping[str, Any]) -> None:
+    """Write plain values as YAML or JSON, or a URDF with cameras and zeros moved, by the file's suffix.
+
+    UsageError for other suffixes.
+    """
     from .io.atomic_files import replacing
 
     if out.suffix not in FORMS:
         raise UsageError(f"{out}: -o ends in {out.suffix!r}; possible: {', '.join(FORMS)}")
     if out.suffix == ".urdf" and urdf is None:
         raise UsageError(f"{out}: a URDF is written from one; type: --urdf ROBOT.urdf")
-    values = tables(found, scales)
     text = _corrected(found, urdf) if urdf is not None and out.suffix == ".urdf" else _table(values, out.suffix)
     with replacing(out) as beside:
         beside.write_text(text)
 
 
-def _table(values: Mapping[str, Mapping[str, Any]], suffix: str) -> str:
+def _table(values: Mapping[str, Any], suffix: str) -> str:
     if suffix == ".json":
         return json.dumps(values, indent=2) + "\n"
-    # JSON's scalars are valid YAML
-    lines = []
-    for key, of in values.items():
-        lines += [f"{key}:\n", *(f"  {json.dumps(name)}: {json.dumps(one)}\n" for name, one in of.items())]
-    return "".join(lines)
+    return "".join(f"{line}\n" for line in _yaml(values))
 
 
-def _corrected(found: "tuple[Offset, ...]", urdf: Path) -> str:
+def _yaml(values: Mapping[str, Any], depth: int = 0, deepest: int = 1) -> Iterator[str]:
+    """Yield lines of YAML: mappings to a depth, beyond it JSON, which is valid YAML."""
+    for key, value in values.items():
+        name = "  " * depth + (key if depth == 0 else json.dumps(key))
+        if isinstance(value, Mapping) and value and depth < deepest:
+            yield f"{name}:"
+            yield from _yaml(value, depth + 1, deepest)
+        else:
+            yield f"{name}: {json.dumps(value)}"
+
+
+def _corrected(found: "Calibration", urdf: Path) -> str:
     from .kinematics import urdf as files
-    from .kinematics.corrected import corrected
+    from .kinematics.corrected import Frame, corrected
 
-    return corrected(files.text(urdf), str(urdf), {one.joint: one.value for one in found if one.identifiable})
+    cameras = [Frame(one.link, optical_frame(one), one.pose) for one in found.cameras if one.identifiable]
+    zeros = {one.joint: one.value for one in found.zeros if one.identifiable}
+    return corrected(files.text(urdf), str(urdf), zeros, cameras)
+
+
+def without_cameras(found: "Calibration") -> "Calibration":
+    """The joints alone."""
+    return replace(found, cameras=(), lenses=(), markers=())
+
+
+def write_lenses(body: Path, found: "Calibration", folder: Path) -> tuple[Path, ...]:
+    """Write each camera's lens as folder/CAMERA.yaml; UsageError where a body does not know the size of its images."""
+    from .io.atomic_files import ensure_dir, replacing
+
+    texts = {}
+    for camera, lens in zip(found.cameras, found.lenses, strict=True):
+        name = camera_name(camera.name).replace("/", "_")
+        size = found.image_sizes.get(camera.name)
+        if size is None:
+            known = "tables of positions alone do not tell it; learn from images, or from a log with a CameraInfo"
+            missing = "the size of its images is not known, and a CameraInfo needs it"
+            raise UsageError(f"{body}: {camera.name}: {missing}; {known}")
+        texts[folder / f"{name}.yaml"] = camera_info(name, lens, size)
+    ensure_dir(folder)
+    for path, text in texts.items():
+        with replacing(path) as beside:
+            beside.write_text(text)
+    return tuple(texts)
+
+
+def camera_info(name: str, lens: "Lens", size: Sequence[int]) -> str:
+    """A lens as ROS's camera_calibration_parsers read it: a CameraInfo in YAML, for images of (width, height) px."""
+    fu, fv = lens.focal.tolist()
+    cu, cv = lens.centre.tolist()
+    matrix = [fu, 0.0, cu, 0.0, fv, cv, 0.0, 0.0, 1.0]
+    projection = [fu, 0.0, cu, 0.0, 0.0, fv, cv, 0.0, 0.0, 0.0, 1.0, 0.0]
+    arrays = {
+        "camera_matrix": (3, 3, matrix),
+        "distortion_coefficients": (1, 5, [*lens.distortion.tolist(), 0.0, 0.0, 0.0]),
+        "rectification_matrix": (3, 3, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
+        "projection_matrix": (3, 4, projection),
+    }
+    named = {key: {"rows": rows, "cols": cols, "data": data} for key, (rows, cols, data) in arrays.items()}
+    width, height = size
+    whole = {"image_width": width, "image_height": height, "camera_name": name, "distortion_model": "plumb_bob"}
+    return "".join(f"{line}\n" for line in _yaml({**whole, **named}))

@@ -98,7 +98,7 @@ def fit(
 
     It is scored on the logs to `test` it with, which it does not learn from.
     """
-    from . import camera_delay, robot_model
+    from . import calibration, camera_delay, robot_model
     from .annotating.background_copy import Copy
     from .body import storage
 
@@ -128,7 +128,7 @@ def fit(
     storage.save(learned.model, out)
     findings = [*findings, *camera_findings, *unfit, *learned.findings, *learned.faint, *more]
     scores = (*learned.scores, *tested)
-    text = verdict.of_body(learned.model.joints, scores)
+    text = verdict.of_body(learned.model.joints, scores, calibration.summary(learned.model))
     return Result(out, scores, _merged(observed), tuple(findings), plain(settings), verdict=text)
 
 

@@ -112,13 +112,14 @@ def _from_log(log: Path, text: str) -> "Robot":
 
 
 def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features]) -> BodyModel:
-    """Add to each kinematic sense the chain from the robot's root."""
+    """Add to each kinematic sense the chain from the robot's root, and the sizes of the images to the provenance."""
     if known is None:
         return body
     from dataclasses import replace
 
     from .body.kinematic.learn import still
     from .body.kinematic.model import KinematicGP
+    from .body.kinematic.placements import IMAGE_SIZES
     from .kinematics.pose import based
 
     held = still(features, body.joints)
@@ -128,7 +129,9 @@ def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features
         else one
         for name, one in body.senses.items()
     }
-    return replace(body, senses=senses)
+    hints = known.hints.items()
+    sizes = {f"camera {name}".strip(): list(hint.size) for name, hint in hints if hint.size is not None}
+    return replace(body, senses=senses, provenance={**body.provenance, IMAGE_SIZES: sizes})
 
 
 def _hints(
@@ -143,7 +146,7 @@ def _hints(
     for name in sorted(names):
         size = next((found.picture_size for found in features if found.picture_size and not name), None)
         infos = [info for one in descriptions if (info := _info(topics.get(name), one.cameras)) is not None]
-        hint = CameraHint(size=size or _extent(name, features))
+        hint = CameraHint(size=size, extent=_extent(name, features))
         for one, info in zip(descriptions, infos, strict=False):
             link, pose = _placed(info.frame, robot, one.transforms)
             hint = CameraHint(link, pose, _lens(info), (info.width, info.height))

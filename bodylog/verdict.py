@@ -22,14 +22,19 @@ def of_estimate(found: Estimate, scores: Sequence[Score]) -> tuple[str, ...]:
     return (*_first(faults, "faults"), *_delays(found), _agreement(found), *_error(found, scores))
 
 
-def of_body(joints: Sequence[str], scores: Sequence[Score]) -> tuple[str, ...]:
-    """Joints and tracks learned, held-out errors, joint offsets, and errors on test logs."""
+def of_body(joints: Sequence[str], scores: Sequence[Score], placements: Sequence[str] = ()) -> tuple[str, ...]:
+    """Joints and tracks learned, held-out errors, calibration, joint zeros, and errors on test logs.
+
+    placements: where cameras and markers are, in sentences.
+    """
     values = {score.name: score.value for score in scores}
     learned = f"learned over {_count(len(joints), 'joint')}: {', '.join(joints[:6])}{', …' * (len(joints) > 6)}"
     errors = [_held_out(track, value, values) for track, value in _of(values, "rmse/held_out").items()]
-    offsets = [_offset(joint, value, values) for joint, value in _of(values, "offset").items()]
+    offsets = [_offset(score, values) for score in scores if split(score.name)[0] == "offset"]
     tests = [_tested(track, value, values) for track, value in _of(values, "rmse/test").items()]
-    return (learned, *_first(errors, "tracks"), *_first([one for one in offsets if one], "offsets", "; "), *tests[:1])
+    wrong = [one for one in offsets if one]
+    placed = _first(placements, "cameras and markers")
+    return (learned, *_first(errors, "tracks"), *placed, *_first(wrong, "zeros", "; "), *tests[:1])
 
 
 def of_batch(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
@@ -153,9 +158,11 @@ def _held_out(track: str, value: float, values: Mapping[str, float]) -> str:
     return f"{track}: error {value:.3g} px on held-out parts of the log{true}"
 
 
-def _offset(joint: str, value: float, values: Mapping[str, float]) -> str | None:
-    std = values.get(f"std/offset/{joint}", 0.0)
-    return f"{joint}: zero is off by {quantity(value, std, 'rad', signed=True)}" if abs(value) > 2.0 * std else None
+def _offset(offset: Score, values: Mapping[str, float]) -> str | None:
+    std = values.get(f"std/{offset.name}", 0.0)
+    joint = split(offset.name)[1]
+    size = quantity(offset.value, std, offset.unit, signed=True)
+    return f"{joint}: zero is off by {size}" if abs(offset.value) > 2.0 * std else None
 
 
 def _tested(track: str, value: float, values: Mapping[str, float]) -> str:

@@ -18,7 +18,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         **{"info": "info", "doctor": "doctor", "features": "features", "colours": "features"},
         **{"plot": "plot", "view": "view"},
     },
-    "Learn": {"extract": "extract", "fit": "fit", "offsets": "offsets"},
+    "Learn": {"extract": "extract", "fit": "fit", "calibration": "calibration", "offsets": "calibration"},
     "Estimate": {"estimate": "estimate", "config": "config"},
     "Judge": {"evaluate": "evaluate", "compare": "compare", "report": "report", "layout": "layout"},
     "Many logs": {"batch": "batch", "reproduce": "reproduce"},

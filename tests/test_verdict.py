@@ -111,6 +111,12 @@ def test_body_verdict_states_holdout_error_and_sure_offsets() -> None:
         "tip: error 0.39 px on held-out parts of the log, 1.30 of the variance expected",
         "pan: zero is off by +0.035 ± 0.002 rad (+2.01 ± 0.11°)",
     )
+    rail = (Score("offset/rail", 0.004, "m"), Score("std/offset/rail", 0.001, "m"))
+    assert of_body(("rail",), rail, ("board in hand: 1.0 ± 0.1 mm",)) == (
+        "learned over 1 joint: rail",
+        "board in hand: 1.0 ± 0.1 mm",
+        "rail: zero is off by +4 ± 1 mm",
+    )
 
 
 def test_batch_verdict_counts_outcomes_and_names_the_worst() -> None:

@@ -137,7 +137,19 @@ def _provenance(found: Any) -> dict[str, Any]:
     width = provenance.get("image_width", 1)
     if isinstance(width, bool) or not isinstance(width, int | float) or not 1 <= width <= _WIDEST:
         raise ValueError(f"provenance.image_width: found {width!r}, possible: 1 to {_WIDEST} px")
+    if "image_sizes" in provenance and not _are_sizes(provenance["image_sizes"]):
+        given = str(provenance["image_sizes"])[:200]
+        raise ValueError(f"provenance.image_sizes: found {given}, possible: {{camera: [width, height]}} in px")
     return provenance
+
+
+def _are_sizes(found: Any) -> bool:
+    """Whether a value is {camera: [width, height]} in px."""
+    if not isinstance(found, dict):
+        return False
+    pairs = [one if isinstance(one, list) and len(one) == 2 else [0, 0] for one in found.values()]
+    sides = [side for pair in pairs for side in pair]
+    return all(isinstance(side, int) and not isinstance(side, bool) and 1 <= side <= _WIDEST for side in sides)
 
 
 def _noise(found: Mapping[str, Any]) -> Noise:

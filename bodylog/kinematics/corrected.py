@@ -1,41 +1,95 @@
-"""Write calibrated joint zeros into a URDF, for controllers that add no offsets."""
+"""Write calibrated joint zeros and camera poses into a URDF, for controllers that add no offsets."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from ..errors import ModelError
 from ..types import Array
-from .robot import Joint, Robot
+from .robot import Joint, Robot, is_optical
 from .rotations import exponential, to_rpy, transform
 from .urdf import parse
 
 _TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
 
 
-def corrected(text: str, source: str, zeros: Mapping[str, float]) -> str:
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A camera's optical frame: its pose (4,4) in a link, m, and the name of the link that a URDF gets for it."""
+
+    link: str
+    name: str
+    pose: Array
+
+
+def corrected(text: str, source: str, zeros: Mapping[str, float], cameras: Sequence[Frame] = ()) -> str:
     """Return the URDF whose joints at q are where those of `text` are at q + zero (rad or m), mimic joints included.
 
-    Only <origin> tags change. ModelError for an unknown joint.
+    A camera's link moves to its pose where a fixed joint holds it and nothing hangs on it; else the camera gets a link
+    of its own, or moves the one of that name. All else in the file stays. ModelError for an unknown joint or link.
     """
     robot = parse(text, source)
     missing = [name for name in zeros if name not in robot.by_name]
     if missing:
         raise ModelError(f"{source}: no joint {missing[0]!r}; possible: {', '.join(list(robot.by_name)[:30])}")
-    raw, done, parts = text.encode("utf-8", "replace"), 0, list[bytes]()
-    for name, begin, end in _origins(raw):
-        if name in robot.by_name and (zero := _zero(robot, joint := robot.by_name[name], zeros)):
+    origins = {}
+    for joint in robot.joints:
+        if zero := _zero(robot, joint, zeros):
+            origins[joint.name] = joint.origin @ _moved(joint, zero)
+    added = []
+    for camera in cameras:
+        fixed = _holding_joint(robot, source, camera)
+        if fixed is None:
+            added.append(camera)
+        elif fixed.child == camera.link:
+            origins[fixed.name] = fixed.origin @ camera.pose
+        else:
+            origins[fixed.name] = camera.pose
+    raw = text.encode("utf-8", "replace")
+    done = 0
+    parts = list[bytes]()
+    joints, end_of_robot = _places(raw)
+    for name, begin, end in joints:
+        if name in origins:
             filled = begin < end and raw[end - 2 : end] != b"/>"
-            parts += [raw[done:begin], _origin(joint.origin @ _moved(joint, zero), filled)]
+            parts += [raw[done:begin], _origin(origins[name], filled)]
             done = end
-    return b"".join([*parts, raw[done:]]).decode("utf-8")
+    parts += [raw[done:end_of_robot], *map(_link, added)]
+    return b"".join([*parts, raw[end_of_robot:]]).decode("utf-8")
 
 
-def _origins(raw: bytes) -> list[tuple[str, int, int]]:
-    """Each joint's name, and where its <origin> tag begins and ends, or both where it belongs."""
+def _holding_joint(robot: Robot, source: str, camera: Frame) -> Joint | None:
+    """The fixed joint whose origin is the camera's pose; None where a link must be added."""
+    if camera.link not in robot.links:
+        raise ModelError(f"{source}: no link {camera.link!r}; possible: {', '.join(robot.links[:30])}")
+    named = robot.above.get(camera.name)
+    if named is not None:
+        if named.kind == "fixed" and named.parent == camera.link:
+            return named
+        taken = f"link {camera.name!r} is there, but no fixed joint holds it on {camera.link!r}"
+        raise ModelError(f"{source}: {taken}; rename it")
+    own = robot.above.get(camera.link)
+    ends = {joint.parent for joint in robot.joints}
+    movable = own is not None and own.kind == "fixed" and camera.link not in ends
+    return own if movable and is_optical(camera.link) else None
+
+
+def _link(camera: Frame) -> bytes:
+    """A link for a camera's optical frame and the fixed joint that holds it."""
+    name, joint, parent = (quoteattr(one) for one in (camera.name, f"{camera.name}_joint", camera.link))
+    origin = _origin(camera.pose, filled=False).decode()
+    inner = f"{origin}<parent link={parent}/><child link={name}/>"
+    return f'  <link name={name}/>\n  <joint name={joint} type="fixed">{inner}</joint>\n'.encode()
+
+
+def _places(raw: bytes) -> tuple[list[tuple[str, int, int]], int]:
+    """Each joint's name, and where its <origin> tag begins and ends, or both where it belongs; where </robot> is."""
     parser, open_, found = expat.ParserCreate("utf-8"), list[str](), list[tuple[str, int, int]]()
+    ends = [len(raw)]
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
         at = parser.CurrentByteIndex
@@ -48,10 +102,12 @@ def _origins(raw: bytes) -> list[tuple[str, int, int]]:
 
     def end(_: str) -> None:
         open_.pop()
+        if not open_:
+            ends[0] = parser.CurrentByteIndex
 
     parser.StartElementHandler, parser.EndElementHandler = begin, end
     parser.Parse(raw, True)
-    return found
+    return found, ends[0]
 
 
 def _zero(robot: Robot, joint: Joint, zeros: Mapping[str, float]) -> float:

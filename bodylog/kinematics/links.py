@@ -11,7 +11,7 @@ from .calibration import Calibrated, Sighted, calibrate, scout
 from .camera import lens
 from .chain import Chain, between
 from .rig import Camera, Carrier, Rig, Sight
-from .robot import MOVING, Robot
+from .robot import MOVING, Robot, is_optical
 from .rotations import inverse
 from .starts import starts
 
@@ -35,13 +35,14 @@ _PROMISING = 3
 class CameraHint:
     """A camera by the log: its link or None · pose (4,4) of camera in link, m, or None · lens (6,) or None.
 
-    size: of its images, (width, height) px, or None.
+    size: of its images, (width, height) px, or None · extent: a likely size where it is not known.
     """
 
     link: str | None = None
     pose: Array | None = None
     lens: Array | None = None
     size: tuple[int, int] | None = None
+    extent: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,17 +217,12 @@ class Space:
         return name in self.robot.by_name and self.robot.by_name[name].kind == "prismatic"
 
 
-def is_optical(link: str) -> bool:
-    """Whether a link is a camera's optical frame by its name (REP 103): z forward, x to the right of the image."""
-    return "optical" in link
-
-
 _SLIDE = 0.1
 """m per rad: prior std of a prismatic joint's zero over a revolute one's; 5° correspond to 9 mm."""
 
 
 def _camera(name: str, link: str, hint: CameraHint, robot: Robot) -> Camera:
-    width, height = hint.size or (640, 480)
+    width, height = hint.size or hint.extent or (640, 480)
     numbers, known = (lens(width, width, height), FREE_LENS) if hint.lens is None else (hint.lens, INFO_LENS)
     pose = hint.pose if hint.link == link else None
     if pose is not None:

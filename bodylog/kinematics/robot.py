@@ -125,6 +125,11 @@ def _followers(robot: Robot) -> Iterator[str]:
             seen.append(joint.name)
 
 
+def is_optical(link: str) -> bool:
+    """Whether a link is a camera's optical frame by its name (REP 103): z forward, x to the right of the image."""
+    return "optical" in link
+
+
 def implausible(robot: Robot) -> str | None:
     """Why a robot cannot be real, or None: all its joints coincide, or lie kilometres apart."""
     lengths = [float(np.linalg.norm(joint.origin[:3, 3])) for joint in robot.joints]

@@ -8,7 +8,8 @@ import pytest
 from bodylog.errors import ModelError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import between
-from bodylog.kinematics.corrected import corrected
+from bodylog.kinematics.corrected import Frame, corrected
+from bodylog.kinematics.rotations import exponential, transform
 from tests.kinematics.robots import MIXED
 from tests.kinematics.test_chain import ends_of
 
@@ -29,6 +30,37 @@ def test_written_zeros_move_the_joints_exactly(tmp_path):
     old, new = ends_of(pybullet, MIXED, moved, tmp_path), ends_of(pybullet, text, angles, tmp_path)
     for link in ("b", "c", "e"):  # d mimics another joint, which PyBullet ignores
         np.testing.assert_allclose(new[link], old[link], atol=1e-6)
+
+
+POSE = transform(exponential(np.array([0.3, -2.0, 0.4])), np.array([0.05, -0.02, 0.1]))
+EYE = """  <link name="eye_optical"/>
+  <joint name="mount" type="fixed"><origin xyz="0.1 0 0" rpy="0 0.2 0"/><parent link="c"/>
+    <child link="eye_optical"/></joint>
+"""
+
+
+@pytest.mark.parametrize(("link", "moved"), [("c", "cam_optical_frame"), ("eye_optical", "eye_optical")])
+def test_a_camera_and_zeros_move_exactly_for_another_library(link, moved, tmp_path):
+    before = MIXED.replace("</robot>", f"{EYE}</robot>")
+    text = corrected(before, "m.urdf", ZEROS, [Frame(link, "cam_optical_frame", POSE)])
+    angles = {"rail": 0.1, "turn": -0.4, "side": 0.3}
+    q = [[angles["rail"], angles["turn"]]]
+    turned = [[angles["rail"] + ZEROS["rail"], angles["turn"] + ZEROS["turn"]]]
+    there = between(urdf.parse(before, "m"), "a", link).at(np.array(turned))
+    expected = transform(there.rotation[0], there.place[0]) @ POSE
+    here = between(urdf.parse(text, "m"), "a", moved).at(np.array(q))
+    np.testing.assert_allclose(transform(here.rotation[0], here.place[0]), expected, atol=1e-12)
+    again = corrected(text, "m.urdf", {}, [Frame(link, "cam_optical_frame", POSE)])
+    assert again == text if moved != link else again != text  # a link of our own is written over
+    pybullet = pytest.importorskip("pybullet")
+    np.testing.assert_allclose(ends_of(pybullet, text, angles, tmp_path)[moved], expected, atol=1e-6)
+
+
+def test_a_camera_is_not_written_over_another_link():
+    with pytest.raises(ModelError, match="'d' is there, but no fixed joint holds it on 'a'"):
+        corrected(MIXED, "m.urdf", {}, [Frame("a", "d", POSE)])
+    with pytest.raises(ModelError, match="no link 'head'; possible: a, b"):
+        corrected(MIXED, "m.urdf", {}, [Frame("head", "d", POSE)])
 
 
 def test_all_else_in_the_file_stays():

@@ -1,0 +1,102 @@
+"""The calibration of a body: cameras, markers, lenses and zeros with honest error bars, printed and written."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bodylog import body, calibration
+from bodylog.body import storage as files
+from bodylog.body.kinematic.learn import learn
+from bodylog.body.kinematic.placements import calibration as calibrated
+from bodylog.errors import UsageError
+from bodylog.kinematics import urdf
+from bodylog.kinematics.chain import between
+from bodylog.kinematics.rotations import inverse, logarithm
+from bodylog.settings import Settings
+from tests.body.test_boards import features
+from tests.body.test_kinematic import OFFSETS, given
+from tests.kinematics import robots
+from tests.kinematics.robots import ARM
+
+
+@pytest.fixture(scope="module")
+def learned():
+    explored = features(robots.angles(40))
+    return learn([explored], Settings(), body.learn([explored], Settings(), {}, None, True), given()).model
+
+
+def test_camera_and_board_are_where_they_are(learned):
+    found = calibrated(learned)
+    rig = robots.board()
+    on_hand = between(urdf.parse(ARM, "arm"), "hand", "tool").fixed[0] @ rig.carriers[0].anchor
+    truth = {"camera": inverse(rig.cameras[0].anchor), "board": on_hand}
+    # the first joint's zero turns the camera, the last one's the board: both have no meaning beyond 0
+    assert {one.joint for one in found.zeros if not one.identifiable} == {"pan", "wrist"}
+    for one in (*found.cameras, *found.markers):
+        off = one.pose[:3, 3] - truth[one.name][:3, 3]
+        turn = logarithm(one.pose[:3, :3] @ truth[one.name][:3, :3].T)
+        assert one.identifiable and (one.place_std < 0.02).all() and (one.turn_std < np.radians(1.0)).all()
+        assert (np.abs(off) < 4.0 * one.place_std).all() and (np.abs(turn) < 4.0 * one.turn_std).all()
+    lens = found.lenses[0]
+    assert (np.abs(lens.focal - 600.0) < 4.0 * lens.focal_std).all() and (lens.focal_std < 10.0).all()
+
+
+def test_poses_are_those_of_the_zeros_as_printed(learned):
+    """The printed set predicts the sightings: the means of θ and of the set differ by what no image shows."""
+    found = calibrated(learned)
+    sense = next(iter(learned.senses.values()))
+    rig = sense.rig
+    theta = sense.theta.copy()
+    camera, board = found.cameras[0].pose, found.markers[0].pose
+    for part, pose, anchor in (
+        (rig.of_camera(0), inverse(camera), rig.cameras[0].anchor), (rig.of_carrier(0), board, rig.carriers[0].anchor),
+    ):  # fmt: skip
+        step = pose @ inverse(anchor)
+        theta[part][:6] = np.concatenate([step[:3, 3], logarithm(step[:3, :3])])
+    theta[rig.of_joints] = [one.value if one.identifiable else 0.0 for one in found.zeros]
+    q = robots.angles(50, seed=5)
+    images = [rig.see(rig.sights[0], at, q).image for at in (theta, sense.theta)]
+    assert np.sqrt(np.mean((images[0] - images[1]) ** 2)) < 0.05
+    moved = np.abs(theta - sense.theta)[rig.of_joints]
+    assert moved.max() > 1e-6  # they are not the same θ
+
+
+def test_calibration_is_printed_and_written(learned, tmp_path, run_cli, capsys):
+    from dataclasses import replace
+
+    sized = {**learned.provenance, "image_sizes": {"camera": [640, 480]}}
+    files.save(replace(learned, provenance=sized), tmp_path / "body.npz")
+    files.save(learned, tmp_path / "unsized.npz")
+    (tmp_path / "arm.urdf").write_text(ARM)
+    assert run_cli("calibration", tmp_path / "body.npz", "--json", "-o", tmp_path / "all.json") == 0
+    entry = json.loads(capsys.readouterr().out)["results"][0]
+    found = entry["calibration"]
+    assert json.loads((tmp_path / "all.json").read_text()) == found
+    assert found["zeros"]["pan"]["value"] is None
+    assert any("pan" in one["text"] and "cannot be separated" in one["text"] for one in entry["findings"])
+    assert abs(found["zeros"]["lift"]["value"] - OFFSETS["lift"]) < 3 * found["zeros"]["lift"]["std"]
+    camera = found["cameras"]["camera"]
+    assert camera["link"] == "base" and len(camera["quaternion_xyzw"]) == 4 and camera["row_time_s"] is None
+    assert found["markers"]["board"]["link"] == "hand"
+    assert run_cli("calibration", tmp_path / "body.npz", "--camera-info", tmp_path / "lenses") == 0
+    printed = capsys.readouterr().out
+    assert "camera in base: " in printed and " mm\n" in printed and "lift   +" in printed
+    x = camera["xyz_m"][0]
+    assert f"static_transform_publisher --x {x:.6f} " in printed
+    assert "--frame-id base --child-frame-id camera_optical_frame" in printed
+    info = (tmp_path / "lenses" / "camera.yaml").read_text()
+    assert info.startswith("image_width: 640\nimage_height: 480\n") and str(camera["focal_px"][0]) in info
+    with pytest.raises(UsageError, match="the size of its images is not known"):
+        calibration.write_lenses(tmp_path / "unsized.npz", calibrated(learned), tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
+def test_written_urdf_agrees_with_the_table(learned, tmp_path, run_cli):
+    files.save(learned, tmp_path / "body.npz")
+    (tmp_path / "arm.urdf").write_text(ARM)
+    typed = ("calibration", tmp_path / "body.npz", "-o", tmp_path / "new.urdf")
+    assert run_cli(*typed) == 2
+    assert run_cli(*typed, "--urdf", tmp_path / "arm.urdf") == 0
+    chain = between(urdf.load(tmp_path / "new.urdf"), "base", "camera_optical_frame")
+    np.testing.assert_allclose(chain.fixed[0], calibrated(learned).cameras[0].pose, atol=1e-12)
