@@ -12,6 +12,8 @@ LEAST = 1.0 / 3.0
 """A zero is identifiable if its standard deviation is at most this share of the prior's."""
 SHOWN = {"rad": (float(np.degrees(1.0)), "°"), "m": (1e3, " mm"), "1": (100.0, " %")}
 """Factor and symbol with which each unit is displayed."""
+GIVEN = 1e-6
+"""rad or m: a zero with a smaller prior std is given, not estimated."""
 _TOGETHER = 0.5
 _ALONG = 0.9
 
@@ -69,9 +71,9 @@ def _offset(rig: Rig, theta: Array, covariance: Array, index: int, unit: str) ->
 
 
 def unidentified(found: Sequence[Offset]) -> Iterator[str]:
-    """Yield a line for each joint whose zero or scale is not identifiable, and why."""
+    """Yield a line for each joint whose zero or scale was estimated and is not identifiable, and why."""
     for one in found:
-        if not one.identifiable:
+        if not one.identifiable and one.beforehand > GIVEN:
             others = " and ".join(one.confused)
             reason = f"cannot be separated from {others}" if others else "has no visible effect"
             yield f"{one.joint}: its {one.noun} {reason}"

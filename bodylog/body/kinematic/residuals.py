@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...kinematics.identifiability import GIVEN
 from ...kinematics.rig import Rig, Seen
 from ...types import Array
 from ..data.pairs import Joint, Pairs, coupled
@@ -21,6 +22,8 @@ MOST = 500
 """Most sightings of a track for a residual: kinematics explains most, and the cost is O(n³)."""
 RESIDUAL = Prior(np.ones(()), 0.35)
 """Prior length scales of residuals: of bending and gears, as long as a turn's cosine (marginal_likelihood.ROTATION)."""
+PERIODIC_STD_RAD = 1e-3
+"""Prior std of a joint's error over a turn: eccentric encoders, gears, gravity. See docs/decisions.md for figures."""
 _ROUNDS = 4
 _SETTLED = 0.01
 """Posterior standard deviations of a step of θ that ends the iteration."""
@@ -95,24 +98,44 @@ def spread_of(part: Pairs, slope: Array, known: Coupling) -> Spread:
 
 
 def together(rig: Rig, theta: Array, parts: Mapping[str, Part]) -> Together:
-    """θ given all tracks' residuals, by Gauss-Newton from a near start, and the residuals' posteriors there."""
+    """θ given all tracks' residuals, by Gauss-Newton from a near start, and the residuals' posteriors there.
+
+    Each joint's periodic error (`with_periodic_errors`) is marginalised, so that θ's covariance contains it.
+    """
     mean, std = rig.prior
     bases = {name: basis(part.kernel, _centres(part)) for name, part in parts.items()}
     for _ in range(_ROUNDS):
-        found = [condensed(bases[name], _about(rig, k, theta, part)) for k, (name, part) in enumerate(parts.items())]
+        rows = [with_periodic_errors(rig, _about(rig, k, theta, part), part) for k, part in enumerate(parts.values())]
+        found = [condensed(bases[name], one) for name, one in zip(parts, rows, strict=True)]
         information = np.sum([one.information for one in found], axis=0)
         z, root, _ = posterior(information, np.sum([one.pull for one in found], axis=0))
-        step = mean + std * z - theta
+        spread = root[: len(theta)] @ root[: len(theta)].T
+        step = mean + std * z[: len(theta)] - theta
         theta = theta + step
-        if np.abs(np.linalg.solve(root, step / std)).max() < _SETTLED:
+        if (np.abs(step / std) < _SETTLED * np.sqrt(np.diag(spread))).all():
             break
+    values, vectors = np.linalg.eigh(spread)
     there, solved = {}, {}
     for k, (name, part) in enumerate(parts.items()):
         there[name] = replace(part, rows=_about(rig, k, theta, part))
-        rows = there[name].rows
-        left = rows.residual + rows.design @ ((mean - theta) / std)
-        solved[name] = condensed(bases[name], replace(rows, residual=left))
-    return Together(theta, root, there, solved)
+        known = there[name].rows
+        left = known.residual + known.design @ ((mean - theta) / std)
+        solved[name] = condensed(bases[name], replace(known, residual=left))
+    return Together(theta, vectors * np.sqrt(np.maximum(values, 0.0)), there, solved)
+
+
+def with_periodic_errors(rig: Rig, rows: Rows, part: Part) -> Rows:
+    """Rows with two more unknowns for each joint that turns: a and b of its error a cos q + b sin q, PERIODIC_STD_RAD.
+
+    Over a small range of angles such an error looks like a zero, however many images there are: what a zero means
+    depends on the model to that extent. Joints whose zeros are given have none.
+    """
+    joints = np.array([m for m, doubt in enumerate(rig.doubt) if doubt > GIVEN and not rig.slides(m)], np.int64)
+    columns = rig.of_joints.start + joints
+    by_angle = rows.design[..., columns] / rig.prior[1][columns] * PERIODIC_STD_RAD
+    angles = part.view.q[part.view.picture][:, None, joints]
+    design = np.concatenate([rows.design, by_angle * np.cos(angles), by_angle * np.sin(angles)], axis=-1)
+    return replace(rows, design=design)
 
 
 def _centres(part: Part) -> Array:
