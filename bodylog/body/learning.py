@@ -66,7 +66,9 @@ def learn(
     available = joints(angled, wanted)
     chosen = _moved(angled, available, wanted)
     chosen, unseen = (chosen, []) if wanted else select_joints(features, chosen, settings.fit)
-    senses, poor = _senses(dict(_tracks(features, chosen, settings.fit, update)), chosen, settings.fit, hopeful)
+    corners = _corners(features) if hopeful else {}
+    tracks = dict(_tracks(features, chosen, settings.fit, update))
+    senses, poor = _senses(tracks, chosen, settings.fit, hopeful, corners)
     if not senses:
         raise EvidenceError(_refusal(features, poor, chosen))
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
@@ -123,8 +125,8 @@ def _dropped(
     features: Sequence[Features], senses: Mapping[str, track.Sense], poor: Mapping[str, str]
 ) -> Iterator[Finding]:
     """Remarks on tracks without a model, and on sightings left out of the others."""
-    for name in (name for name in poor if name not in senses):
-        yield Finding("warning", f"{name}: left out: {poor[name]}; {trainable.seen(features, name)}")
+    for name, reason in _by_board(features, {n: r for n, r in poor.items() if n not in senses}):
+        yield Finding("warning", f"{name}: left out: {reason}")
     for name, found in senses.items():
         yield from track.findings(name, found)
 
@@ -140,12 +142,16 @@ def _posed(learned: Noise, senses: Mapping[str, track.Sense], count: int) -> tup
 
 
 def _senses(
-    tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit, hopeful: bool
+    tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit, hopeful: bool, corners: Mapping[str, str]
 ) -> tuple[dict[str, track.Sense], dict[str, str]]:
-    """Each track's model, and the reasons why others have none; `hopeful` keeps poor models, too."""
+    """Each track's model, and the reasons why others have none; `hopeful` keeps poor models, too.
+
+    corners: tracks that a URDF joins to boards.
+    """
     found, poor = dict[str, track.Sense](), dict[str, str]()
     for name, part in tracks.items():
-        reason = trainable.unfit(part, [] if hopeful else chosen)
+        fewest = trainable.FEWEST_OF_BOARD if name in corners else trainable.FEWEST
+        reason = trainable.unfit(part, [] if hopeful else chosen, fewest)
         if reason is None:
             try:
                 found[name] = track.sense(part, chosen, fit)
@@ -172,9 +178,27 @@ def _nothing_seen(features: Sequence[Features]) -> str:
 def _refusal(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequence[Joint]) -> str:
     """The message when no track can be learned, and advice."""
     moved = f"{len(chosen)} joints moved ({', '.join(joint.name for joint in chosen)})"
-    reasons = "; ".join(f"{name}: {reason}, {trainable.seen(features, name)}" for name, reason in poor.items())
+    reasons = "; ".join(f"{name}: {reason}" for name, reason in _by_board(features, poor))
     advice = "type bodylog features LOG to see what else there is, or record a marker that all joints move in view"
     return f"no track can be learned, though {moved}: {reasons}; {advice}"
+
+
+def _corners(features: Sequence[Features]) -> dict[str, str]:
+    """The board of each track that is one of three or more points of a rigid thing."""
+    boards = [item for found in features for item in found.boards.items()]
+    return {track: name for name, (tracks, _) in boards if len(tracks) > 2 for track in tracks}
+
+
+def _by_board(features: Sequence[Features], poor: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """Yield each poor track, or a whole board once, with the reason and in how many images it was seen."""
+    corners, boards = _corners(features), dict[str, list[str]]()
+    for name in poor:
+        boards.setdefault(corners.get(name, name), []).append(name)
+    for board, tracks in boards.items():
+        best = max(tracks, key=lambda name: sum(trainable.counted(f, name)[1] for f in features if name in f.tracks))
+        reason = f"{poor[best]}, {trainable.seen(features, best)}"
+        corner = f"{len(tracks)} corners; of {best}, seen most often: " if len(tracks) > 1 else ""
+        yield (board if len(tracks) > 1 else best), f"{corner}{reason}"
 
 
 def _tracks(

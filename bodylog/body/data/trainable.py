@@ -10,6 +10,8 @@ from .pairs import Joint, Pairs
 
 FEWEST, PER_JOINT = 8, 3
 """Fewest sightings of a track, in all and per joint that moved."""
+FEWEST_OF_BOARD = 4
+"""Fewest sightings of one corner of a board that a URDF joins with the others: together they give poses."""
 SURE, BETTER = 2.0, 0.9
 """A model is better than a constant if the mean log ratio of median held-out errors over blocks is below ln BETTER, and
 below 0 by SURE standard errors. Medians are robust to a few false sightings."""
@@ -17,9 +19,9 @@ STILL = 1e-6
 """px: a track that moves less stands still."""
 
 
-def unfit(part: Pairs, chosen: Sequence[Joint]) -> str | None:
+def unfit(part: Pairs, chosen: Sequence[Joint], fewest: int = FEWEST) -> str | None:
     """Why a track's sightings cannot be learned from; None if they can."""
-    least = max(FEWEST, PER_JOINT * len(chosen))
+    least = max(fewest, PER_JOINT * len(chosen))
     if len(part.x) < least:
         moved = f"{len(chosen)} joint{'s' * (len(chosen) != 1)} moved"
         return f"only {len(part.x)} sightings with joint readings, {least} are needed as {moved}"
