@@ -121,12 +121,14 @@ def fit(
     origin = provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
     robot, unfit = robot_model.robot(logs, features, settings)
+    features, not_joints = robot_model.joints_of_urdf(features, robot)
+    settings = robot_model.with_coordinates(settings, robot)
     with log_context(logs[0], findings, len(logs) - 1):
         learned = camera_delay.learned(features, settings, origin, known, robot)
     learned = replace(learned, model=robot_model.based(learned.model, robot, features))
     tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
     storage.save(learned.model, out)
-    findings = [*findings, *camera_findings, *unfit, *learned.findings, *learned.faint, *more]
+    findings = [*findings, *camera_findings, *unfit, *not_joints, *learned.findings, *learned.faint, *more]
     scores = (*learned.scores, *tested)
     text = verdict.of_body(learned.model.joints, scores, calibration.summary(learned.model))
     return Result(out, scores, _merged(observed), tuple(findings), plain(settings), verdict=text)

@@ -9,6 +9,7 @@ from .body_model import BodyModel
 from .errors import FormatError, LogError, ModelError
 from .settings import Settings
 from .types import Array, Features, Finding
+from .wording import listed
 
 if TYPE_CHECKING:
     from .body.kinematic.learn import Robotics
@@ -45,6 +46,8 @@ def robot(
     from .recording.robot_description import described
 
     descriptions = [described(log, settings.input) for log in logs]
+    if (known := _of_frame(features)) is not None and chosen.urdf is None:
+        return Robotics(known, _hints(known, descriptions, features), 0.0, True, 0.0), ()
     texts = [(log, one.urdf) for log, one in zip(logs, descriptions, strict=True) if one.urdf]
     if chosen.urdf not in (None, FROM_LOG):
         found = urdf.load(Path(str(chosen.urdf)))
@@ -62,6 +65,52 @@ def robot(
     asked = chosen.urdf is not None
     hints = _hints(found, descriptions, features)
     return Robotics(found, hints, radians(chosen.offset_prior), asked, chosen.scale_prior), ()
+
+
+def _of_frame(features: Sequence[Features]) -> "Robot | None":
+    """The robot of logs whose joints are the coordinates of one frame; None for other joints."""
+    from .kinematics.frame_robot import frame_robot
+    from .logs.tables.frame_columns import frame_of
+
+    names = {found.joints.names for found in features if found.joints is not None and found.poses}
+    coordinates = names.pop() if len(names) == 1 else ()
+    frame = frame_of(coordinates)
+    return None if frame is None else frame_robot(frame, coordinates)
+
+
+def joints_of_urdf(
+    features: Sequence[Features], robot: "Robotics | None"
+) -> tuple[list[Features], tuple[Finding, ...]]:
+    """The features without columns of tables that a requested URDF does not know, where it knows any of them."""
+    from dataclasses import replace
+
+    kept, findings = list[Features](), list[Finding]()
+    for found in features:
+        joints = found.joints
+        if robot is None or not robot.asked or not found.poses or joints is None:
+            kept.append(found)
+            continue
+        known = [k for k, name in enumerate(joints.names) if name in robot.robot.by_name]
+        others = [name for name in joints.names if name not in robot.robot.by_name]
+        if known and others:
+            names = tuple(joints.names[k] for k in known)
+            found = replace(found, joints=replace(joints, values=joints.values[:, known], names=names))
+            what = "these columns are not in it, so they are no joints"
+            findings.append(Finding("info", f"{robot.robot.source}: {what}: {listed(others)}"))
+        kept.append(found)
+    return kept, tuple(findings)
+
+
+def with_coordinates(settings: Settings, robot: "Robotics | None") -> Settings:
+    """The settings with all six coordinates of a frame as joints: none may be left out, however little it moved."""
+    from dataclasses import replace
+
+    from .logs.tables.frame_columns import frame_of
+
+    names = () if robot is None else tuple(joint.name for joint in robot.robot.joints)
+    if frame_of(names) is None or settings.body.joints is not None:
+        return settings
+    return replace(settings, body=replace(settings.body, joints=names))
 
 
 def check(logs: Sequence[Path], settings: Settings) -> None:

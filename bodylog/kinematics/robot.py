@@ -133,9 +133,10 @@ def is_optical(link: str) -> bool:
 def implausible(robot: Robot) -> str | None:
     """Why a robot cannot be real, or None: all its joints coincide, or lie kilometres apart."""
     lengths = [float(np.linalg.norm(joint.origin[:3, 3])) for joint in robot.joints]
-    if max(lengths, default=0.0) < _SHORTEST:
+    slides = any(joint.kind == "prismatic" for joint in robot.joints)
+    if max(lengths, default=0.0) < _SHORTEST and not slides:
         return "none of its joints has an <origin> of any length"
-    if max(lengths) > _LONGEST:
+    if max(lengths, default=0.0) > _LONGEST:
         joint = robot.joints[int(np.argmax(lengths))]
         return f"joint {joint.name!r} stands {max(lengths):.0f} m from the one before; are its lengths in mm?"
     return None

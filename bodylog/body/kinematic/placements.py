@@ -11,6 +11,7 @@ from ...kinematics import identifiability
 from ...kinematics.identifiability import Offset
 from ...kinematics.rig import Rig
 from ...kinematics.rotations import inverse, logarithm
+from ...logs.tables.frame_columns import frame_of
 from ...types import Array, Finding
 from .model import KinematicGP
 
@@ -83,7 +84,8 @@ def calibration(model: BodyModel) -> Calibration:
         raise ModelError("learned without a URDF, so without a calibration; type: bodylog fit LOG --urdf ROBOT.urdf")
     first = senses[0]
     covariance = first.root @ first.root.T
-    zeros = identifiability.offsets(first.rig, first.theta, covariance)
+    every_zero = identifiability.offsets(first.rig, first.theta, covariance)
+    zeros = tuple(one for one in every_zero if one.beforehand > identifiability.GIVEN)
     scales = identifiability.scales(first.rig, first.theta, covariance)
     cameras, lenses, markers = dict[str, Placement](), dict[str, Lens](), dict[str, Placement]()
     for sense in senses:
@@ -91,20 +93,30 @@ def calibration(model: BodyModel) -> Calibration:
         camera, marker = rig.cameras[0].name, rig.carriers[0].name
         if camera in cameras and marker in markers:
             continue
-        theta, spread = _given_zeros(rig, sense.theta, sense.root @ sense.root.T, (*zeros, *scales))
+        theta, spread = _given_zeros(rig, sense.theta, sense.root @ sense.root.T, (*every_zero, *scales))
         cameras.setdefault(camera, _camera(rig, theta, spread))
         lenses.setdefault(camera, _lens(rig, theta, spread))
         markers.setdefault(marker, _marker(rig, theta, spread))
-    findings = tuple(_findings(tuple(cameras.values()), tuple(markers.values()), (*zeros, *scales)))
+    findings = [*_findings(tuple(cameras.values()), tuple(markers.values()), (*zeros, *scales))]
+    if not zeros:
+        findings.append(_without_zeros(first.rig.joints))
     return Calibration(
         tuple(cameras.values()),
         tuple(lenses.values()),
         tuple(markers.values()),
         zeros,
         scales,
-        findings,
+        tuple(findings),
         {name: (int(size[0]), int(size[1])) for name, size in model.provenance.get(IMAGE_SIZES, {}).items()},
     )
+
+
+def _without_zeros(joints: tuple[str, ...]) -> Finding:
+    """Why a body has no zeros at all."""
+    frame = frame_of(joints)
+    if frame is None:
+        return Finding("info", "no joint's zero was estimated: [kinematics] offset_prior is 0")
+    return Finding("info", f"poses of {frame} alone do not tell the joints' zeros; learn from joints with --urdf")
 
 
 def _given_zeros(rig: Rig, theta: Array, covariance: Array, known: Sequence[Offset]) -> tuple[Array, Array]:

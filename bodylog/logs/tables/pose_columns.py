@@ -8,6 +8,7 @@ import numpy as np
 
 from ...errors import LogError
 from ..records import Array
+from .frame_columns import frame_poses
 from .table_file import Table
 
 IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
@@ -46,11 +47,18 @@ def poses(table: Table, path: str) -> Poses:
     time, t = _time(left, table.rows, notes)
     tracks, std = _tracks(left)
     labels = [name for name in left if label(name)]
-    spaces = _spaces(left)
+    frames = frame_poses(left, path)
+    spaces = list(dict.fromkeys([*_spaces(left), *(column for one in frames for column in one.columns)]))
     empty = [name for name, values in left.items() if not np.isfinite(values).any()]
     lone = [name for name in left if _PLACE.fullmatch(name)]
     unused = dict.fromkeys([*(n for n in table.texts if n not in images), *labels, *spaces, *empty, *lone])
     joints = {name: values for name, values in left.items() if name not in unused}
+    if frames and not joints:
+        joints = frames[0].coordinates
+        for column in frames[0].columns:
+            unused.pop(column, None)
+        what = "a pose in each row; its coordinates (m, rad) stand for joints, whose zeros stay unknown"
+        notes.append(f"{frames[0].name}: {what}")
     if not joints and not tracks and not images:
         have = ", ".join(table.names[:12])
         raise LogError(f"{path}: no column is a joint, NAME_u and NAME_v, or image files; the columns are {have}")

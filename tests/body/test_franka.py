@@ -1,0 +1,89 @@
+"""A Franka's camera in hand: learned from half of a session, from joints or from poses of its flange."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from bodylog import calibration, pipeline
+from bodylog.config import load as load_settings
+from bodylog.kinematics import urdf
+from bodylog.kinematics.chain import between
+from bodylog.kinematics.rotations import inverse, transform
+
+DATA = Path(__file__).parents[3] / "shared" / "real" / "franka"
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the Franka's images (../shared/real/franka) are not at hand")
+
+
+def rows_of(name, rows, folder):
+    """Some rows of a table, with the images where they are."""
+    head, *lines = (DATA / "A" / name).read_text().splitlines()
+    chosen = [f"{DATA / 'A'}/{line}" for line in np.array(lines)[rows]]
+    path = folder / f"{len(chosen)}_{name}"
+    path.write_text("\n".join([head, *chosen]) + "\n")
+    return path
+
+
+def learned(log, folder, robot=None):
+    """The calibration that fit writes, and what it printed."""
+    settings = load_settings(DATA / "robot.toml")
+    settings = replace(settings, kinematics=replace(settings.kinematics, urdf=robot))
+    result = pipeline.fit([log], folder / "body.npz", settings)
+    return calibration.load(folder / "body.npz"), result
+
+
+def flange_poses(rows):
+    table = np.genfromtxt(DATA / "A" / "both.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    q = np.column_stack([table[f"panda_joint{k}"] for k in range(1, 8)])[rows]
+    matrix = [[table[f"O_T_EE_{r}{c}"] for c in range(4)] for r in range(4)]
+    return q, np.moveaxis(np.array(matrix), -1, 0)[rows]
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return str(DATA / "panda.urdf")
+
+
+def test_board_stays_where_it_is_over_images_held_out(robot, tmp_path):
+    train, test = np.arange(0, 12, 2), np.arange(1, 12, 2)
+    found, _ = learned(rows_of("poses.csv", train, tmp_path), tmp_path, robot)
+    q, _ = flange_poses(test)
+    _, features = pipeline.observe(rows_of("poses.csv", test, tmp_path), load_settings(DATA / "robot.toml"))
+    names, points = features.boards["board"]
+    chain = between(urdf.load(Path(robot)), "panda_link0", found.cameras[0].link)
+    zeros = {one.joint: one.value for one in found.zeros if one.identifiable}
+    arm = chain.at(q[:, : len(chain.joints)] + np.array([zeros.get(name, 0.0) for name in chain.joints]))
+    lens = found.lenses[0]
+    matrix = np.array([[lens.focal[0], 0, lens.centre[0]], [0, lens.focal[1], lens.centre[1]], [0, 0, 1.0]])
+    distortion = np.array([*lens.distortion, 0.0, 0.0, 0.0])
+    places = []
+    for row in range(len(test)):
+        corners = np.array([features.tracks[name].values[row] for name in names if name in features.tracks])
+        there = np.array([point for name, point in zip(names, points, strict=True) if name in features.tracks])
+        seen = np.isfinite(corners).all(axis=1)
+        _, turn, place = cv2.solvePnP(there[seen], corners[seen], matrix, distortion)
+        board = transform(cv2.Rodrigues(turn)[0], place[:, 0])
+        places.append((transform(arm.rotation[row], arm.place[row]) @ found.cameras[0].pose @ board)[:3, 3])
+    scatter = np.linalg.norm(np.array(places) - np.mean(places, axis=0), axis=1)
+    assert 1e3 * np.sqrt(np.mean(scatter**2)) < 2.5
+
+
+def test_joints_and_poses_place_the_camera_alike(robot, tmp_path):
+    every = np.arange(12)
+    by_joints, result = learned(rows_of("both.csv", every, tmp_path), tmp_path, robot)
+    assert {one.joint for one in by_joints.zeros} <= {f"panda_joint{k}" for k in range(1, 8)}
+    by_poses, _ = learned(rows_of("ee_poses.csv", every, tmp_path), tmp_path)
+    assert not by_poses.zeros and any("do not tell the joints' zeros" in one.text for one in by_poses.findings)
+    assert by_poses.cameras[0].link == "O_T_EE" and by_poses.markers[0].link == "base"
+    q, flange = flange_poses(every)
+    chain = between(urdf.load(Path(robot)), "panda_link0", by_joints.cameras[0].link)
+    arm = chain.at(q[:, : len(chain.joints)])
+    on_flange = inverse(flange[0]) @ transform(arm.rotation[0], arm.place[0])
+    apart = (on_flange @ by_joints.cameras[0].pose)[:3, 3] - by_poses.cameras[0].pose[:3, 3]
+    std = np.hypot(np.linalg.norm(by_poses.cameras[0].place_std), np.linalg.norm(by_joints.cameras[0].place_std))
+    assert np.linalg.norm(apart) < 2.0 * std
+    warnings = [one for one in result.findings if one.severity != "info"]
+    assert len(result.verdict) + len(warnings) <= 12 and json.dumps(calibration.table(by_poses))
