@@ -47,7 +47,7 @@ def robot(
 
     descriptions = [described(log, settings.input) for log in logs]
     if (known := _of_frame(features)) is not None and chosen.urdf is None:
-        return Robotics(known, _hints(known, descriptions, features), 0.0, True, 0.0), ()
+        return Robotics(known, _hints(known, descriptions, features, settings), 0.0, True, 0.0), ()
     texts = [(log, one.urdf) for log, one in zip(logs, descriptions, strict=True) if one.urdf]
     if chosen.urdf not in (None, FROM_LOG):
         found = urdf.load(Path(str(chosen.urdf)))
@@ -63,7 +63,7 @@ def robot(
     else:
         raise LogError(_NO_URDF.format(logs[0]))
     asked = chosen.urdf is not None
-    hints = _hints(found, descriptions, features)
+    hints = _hints(found, descriptions, features, settings)
     return Robotics(found, hints, radians(chosen.offset_prior), asked, chosen.scale_prior), ()
 
 
@@ -184,10 +184,11 @@ def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features
 
 
 def _hints(
-    robot: "Robot", descriptions: "Sequence[Described]", features: Sequence[Features]
-) -> "dict[str, CameraHint]":  # fmt: skip
-    """Hints on each camera by name, from the logs."""
+    robot: "Robot", descriptions: "Sequence[Described]", features: Sequence[Features], settings: Settings
+) -> "dict[str, CameraHint]":
+    """Hints on each camera by name, from the logs; on the first one from [camera] too."""
     from .kinematics.links import CameraHint
+    from .known_camera import with_known
 
     names = {name.rpartition("/")[0] for found in features for name in found.tracks}
     topics = {name: topic for found in features for name, topic in found.cameras.items()}
@@ -200,7 +201,7 @@ def _hints(
             link, pose = _placed(info.frame, robot, one.transforms)
             hint = CameraHint(link, pose, _lens(info), (info.width, info.height))
             break
-        hints[name] = hint
+        hints[name] = hint if name else with_known(hint, settings.camera, robot)
     return hints
 
 

@@ -10,7 +10,7 @@ from .logs.limits import Input
 from .sources import Colour, ColourSource, Source, colour_key, is_colour, spelled
 
 __all__ = [
-    "Body", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Kinematics", "Settings", "Skin", "Source",
+    "Body", "Camera", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Kinematics", "Settings", "Skin", "Source",
     "Time", "Topics", "about", "plain", "wanted",
 ]  # fmt: skip
 
@@ -150,6 +150,22 @@ class Kinematics:
 
 
 @dataclass(frozen=True)
+class Camera:
+    """[camera]: what is known of the first camera beforehand, with its doubt."""
+
+    info: str | None = key(None, "CameraInfo (YAML) with its lens.", noun="file", unset="the log's own, if any")
+    focal: float | None = key(None, "Its focal length.", unit="px", low=1, high=1e6, unset="estimated, or by info")
+    focal_std: float = key(0.01, "Standard deviation of a given focal length, relative.", low=1e-6, high=1)
+    link: str | None = key(None, "Link that carries it.", noun="link", unset="by frame, tf or evidence")
+    place: tuple[float, ...] | None = key(
+        None, "Optical frame in that link: x, y, z, roll, pitch, yaw.", unit="m and rad", low=-100, high=100,
+        unset="estimated",
+    )  # fmt: skip
+    place_std: float = key(0.02, "Standard deviation of that place.", unit="m", low=1e-6, high=10)
+    turn_std: float = key(2.0, "Standard deviation of that orientation.", unit="deg", low=1e-4, high=180)
+
+
+@dataclass(frozen=True)
 class Estimation:
     """[estimate]: how joint angles are estimated; variances set here replace those of `precision`."""
 
@@ -207,6 +223,7 @@ class Settings:
     time: Time = field(default_factory=Time)
     fit: Fit = field(default_factory=Fit)
     kinematics: Kinematics = field(default_factory=Kinematics)
+    camera: Camera = field(default_factory=Camera)
     estimate: Estimation = field(default_factory=Estimation)
     synchrony: Clocks = field(default_factory=Clocks)
 

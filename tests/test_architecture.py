@@ -38,6 +38,7 @@ ROOMS = {
 }
 """Which parts of bodylog a room may import; what imports several rooms stands in LAYERS, each above the one before."""
 LAYERS = (
+    {"known_camera"},
     {"effector_poses", "joint_limits", "robot_model"},
     {"observed", "written_messages"},
     {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "calibration",

@@ -35,7 +35,8 @@ _PROMISING = 3
 class CameraHint:
     """A camera by the log: its link or None · pose (4,4) of camera in link, m, or None · lens (6,) or None.
 
-    size: of its images, (width, height) px, or None · extent: a likely size where it is not known.
+    size: of its images, (width, height) px, or None · extent: a likely size where it is not known · lens_std,
+    pose_std (6,): prior std of a lens and a pose that somebody gave; else INFO_LENS and TF_POSE.
     """
 
     link: str | None = None
@@ -43,6 +44,8 @@ class CameraHint:
     lens: Array | None = None
     size: tuple[int, int] | None = None
     extent: tuple[int, int] | None = None
+    lens_std: Array | None = None
+    pose_std: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,14 +227,17 @@ _SLIDE = 0.1
 def _camera(name: str, link: str, hint: CameraHint, robot: Robot) -> Camera:
     width, height = hint.size or hint.extent or (640, 480)
     numbers, known = (lens(width, width, height), FREE_LENS) if hint.lens is None else (hint.lens, INFO_LENS)
+    if hint.lens_std is not None:
+        known = hint.lens_std
     pose = hint.pose if hint.link == link else None
     if pose is not None:
-        anchor, doubt = inverse(pose), TF_POSE
+        anchor, doubt = inverse(pose), TF_POSE if hint.pose_std is None else hint.pose_std
     elif is_optical(link):
         anchor, doubt = np.eye(4), FRAME_POSE
     else:
         anchor, doubt = np.eye(4), np.full(6, ANYWHERE)
-    scale = np.array([1.0, 1.0, width / 640, width / 640, 1.0, 1.0]) if hint.lens is None else 1.0
+    given = hint.lens is not None and hint.lens_std is None
+    scale = 1.0 if given else np.array([1.0, 1.0, width / 640, width / 640, 1.0, 1.0])
     return Camera(f"camera {name}".strip(), link, anchor, numbers, np.concatenate([doubt, known * scale]))
 
 

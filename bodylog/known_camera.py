@@ -1,0 +1,101 @@
+"""What a user knows of the first camera beforehand ([camera]): its lens and its place, as a hint with doubt."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .errors import ConfigError
+from .settings import Camera
+from .types import Array
+
+if TYPE_CHECKING:
+    from .kinematics.links import CameraHint
+    from .kinematics.robot import Robot
+
+_MOST_BYTES = 1 << 20
+_PLACE = "x, y, z (m), roll, pitch, yaw (rad)"
+
+
+def with_known(hint: "CameraHint", known: Camera, robot: "Robot") -> "CameraHint":
+    """The hint of the first camera with what [camera] gives; ConfigError where that cannot be.
+
+    A pose's doubt is that of the lens in the camera, which is what its unknowns are of.
+    """
+    if known.info is not None:
+        lens, size = load_lens(Path(known.info))
+        hint = replace(hint, lens=lens, lens_std=None, size=size)
+    if known.focal is not None:
+        hint = _with_focal(hint, known)
+    if known.link is not None and known.link not in robot.links:
+        raise ConfigError(f"[camera] link: found {known.link!r}, possible: {', '.join(robot.links[:30])}")
+    if known.link is not None:
+        hint = replace(hint, link=known.link, pose=None)
+    return hint if known.place is None else _with_place(hint, known)
+
+
+def _with_focal(hint: "CameraHint", known: Camera) -> "CameraHint":
+    from .kinematics.camera import lens
+    from .kinematics.links import FREE_LENS, INFO_LENS
+
+    assert known.focal is not None
+    width, height = hint.size or hint.extent or (640, 480)
+    numbers = lens(known.focal, width, height) if hint.lens is None else hint.lens.copy()
+    numbers[0] = np.log(known.focal)
+    std = (FREE_LENS if hint.lens is None else INFO_LENS).copy()
+    std[0] = known.focal_std
+    return replace(hint, lens=numbers, lens_std=std)
+
+
+def _with_place(hint: "CameraHint", known: Camera) -> "CameraHint":
+    from .kinematics.rotations import from_rpy, transform
+
+    assert known.place is not None
+    if hint.link is None:
+        raise ConfigError("[camera] place: in which link? give [camera] link as well")
+    if len(known.place) != 6:
+        raise ConfigError(f"[camera] place: found {len(known.place)} numbers, possible: 6: {_PLACE}")
+    values = np.array(known.place)
+    std = np.array([known.place_std] * 3 + [np.radians(known.turn_std)] * 3)
+    return replace(hint, pose=transform(from_rpy(values[3:]), values[:3]), pose_std=std)
+
+
+def load_lens(path: Path) -> tuple[Array, tuple[int, int]]:
+    """The six numbers of a lens and the size (px) of its images from a CameraInfo in YAML.
+
+    ConfigError where the file has none. Distortion other than radial is left out.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    from .io.atomic_files import text as read_text
+
+    where = f"[camera] info: {path}"
+    try:
+        values = YAML(typ="safe", pure=True).load(read_text(path, _MOST_BYTES))
+    except (OSError, UnicodeDecodeError, YAMLError, RecursionError) as problem:
+        raise ConfigError(f"{where}: cannot be read as YAML ({' '.join(str(problem).split())[:150]})") from problem
+    width, height = (_number(values, name, where) for name in ("image_width", "image_height"))
+    matrix = _data(values, "camera_matrix", 9, where)
+    distortion = _data(values, "distortion_coefficients", 4, where)
+    if matrix[0] <= 0.0 or matrix[4] <= 0.0 or width < 1.0 or height < 1.0:
+        raise ConfigError(f"{where}: found focal lengths {matrix[0]:g}, {matrix[4]:g} px, possible: positive numbers")
+    numbers = [np.log(matrix[0]), np.log(matrix[4] / matrix[0]), matrix[2], matrix[5], *distortion[:2]]
+    return np.array(numbers), (int(width), int(height))
+
+
+def _number(values: Any, name: str, where: str) -> float:
+    found = values.get(name) if isinstance(values, dict) else None
+    if isinstance(found, bool) or not isinstance(found, int | float):
+        raise ConfigError(f"{where}: {name}: found {str(found)[:50]!r}, possible: a number")
+    return float(found)
+
+
+def _data(values: Any, name: str, fewest: int, where: str) -> Array:
+    part = values.get(name)
+    found = part.get("data") if isinstance(part, dict) else None
+    sound = isinstance(found, list) and len(found) >= fewest
+    if not sound or not all(isinstance(one, int | float) and abs(one) < 1e9 for one in found or ()):
+        raise ConfigError(f"{where}: {name}: found {str(found)[:80]}, possible: data: a list of {fewest} numbers")
+    return np.array(found, float)
