@@ -184,6 +184,10 @@ class Estimation:
     )  # fmt: skip
     bias: str = key("auto", "Encoder offset states; not for kalman, predictive-coding.", choices=("auto", "on", "off"))
     touch: str = key("likelihood", "Reading of the paper's touch equation.", choices=("likelihood", "literal"))
+    common_cause: float | None = key(
+        None, "Prior probability that a touch and its stroke are at one place.", low=0, high=1,
+        unset="taken for granted",
+    )  # fmt: skip
     step: str = key("implicit", "Euler step of predictive-coding.", choices=("implicit", "explicit"))
     start: tuple[float, ...] | None = key(
         None, "Joint angles at the start.", unit="rad", low=-1e4, high=1e4, unset="from the measurements"

@@ -108,12 +108,21 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Synchrony:
-    """How well a touch agrees with a stroke: delay = seen − felt (s), weight 0..1; unpaired: None, NaN, 0."""
+    """How well a touch agrees with a stroke: delay = seen − felt (s), weight 0..1; unpaired: None, NaN, 0.
+
+    common_cause: probability that both are one event at one place; 1 where that is taken for granted.
+    """
 
     touch: int
     stroke: int | None
     delay: float
     weight: float
+    common_cause: float = 1.0
+
+    @property
+    def event_weight(self) -> float:
+        """The weight of the pair as one event, in time and in place."""
+        return self.weight * self.common_cause
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,3 +124,5 @@ def _table(claims: "tuple[Claim, ...]") -> None:
             figures = [one.median for one in claim.outcomes.values()] or [float("nan")]
             figure = figures[-1 if kind in ("comparison", "erratum") else 0]
             click.echo(f"  {claim.id:<13} {figure:>9.3g} {claim.bound:>8}  {claim.text}: {claim.verdict}")
+            for text in (str(claim.counts), *claim.reasons):
+                click.echo(f"{'':>17}{text}")

@@ -1,7 +1,11 @@
-"""Write the tables of the pages on the paper from what reproduce left in a folder (the argument), and the readings."""
+"""Write the tables of the pages on the paper from what reproduce left in a folder (the argument), and the readings.
+
+Rows of experiments that were not run there stay as they are.
+"""
 
 import csv
 import json
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,6 +23,11 @@ READINGS = ("<!-- readings -->\n", "<!-- end of readings -->\n")
 ERRATA = ("<!-- errata -->\n", "<!-- end of errata -->\n")
 DRIFT = ("<!-- drift -->\n", "<!-- end of drift -->\n")
 BASELINES = ("<!-- baselines -->\n", "<!-- end of baselines -->\n")
+OWN_COLUMNS, OTHER_COLUMNS = 5, 7
+"""Columns of the tables of our own claims and of comparisons."""
+SEEDS = "Seeds by experiment: "
+PIXELAI_SEEDS = 10
+"""Seeds that its documented run has."""
 Row = Mapping[str, Any]
 
 
@@ -35,34 +44,45 @@ def _values(values: Mapping[str, str]) -> str:
     return "; ".join(f"`{name}`: {text}" for name, text in values.items())
 
 
-def claims(found: Sequence[Row]) -> str:
-    """Three tables: the paper's claims, our own, and comparisons."""
+def claims(found: Sequence[Row], page: str) -> str:
+    """Three tables: the paper's claims, our own, and comparisons; rows of other experiments as on the `page`."""
+    run = {claim["id"].partition(".")[0] for claim in found}
+    old = [line for line in page.splitlines(keepends=True) if (name := _experiment(line)) and name not in run]
+    own_rows, other_rows = (
+        "".join(line for line in old if (line.count(" | ") == columns - 1)) for columns in (OWN_COLUMNS, OTHER_COLUMNS)
+    )
     kinds = {kind: [claim for claim in found if claim["kind"] == kind] for kind in ("paper", "own", "comparison")}
-    head = ("", "claim", "must be", "at the centre", "kept by", "verdict", "turns")
+    head = ("", "claim", "must be", "at the centre", "kept", "refuted", "not tested", "verdict", "turns")
     parts = ["**The paper's claims**\n\n" + table(head, [_paper(claim) for claim in kinds["paper"]])]
+    parts.append("**Readings that do not keep a claim**\n\n" + table(("", "why"), _reasons(kinds["paper"])))
     own = [(c["id"], _wording(c), c["bound"], _first(c), f"**{c['verdict']}**") for c in kinds["own"]]
-    parts.append("**Our own claims**, of our default\n\n" + table(("", "claim", "must be", "found", "verdict"), own))
+    owned = table(("", "claim", "must be", "found", "verdict"), own) + own_rows
+    parts.append("**Our own claims**, of our default\n\n" + owned)
     head = ("", "claim", "must be", "figures", "same", "different", "verdict")
     others = [_comparison(claim) for claim in kinds["comparison"]]
-    return "\n".join([*parts, "**Beside others' figures**\n\n" + table(head, others)])
+    return "\n".join([*parts, "**Beside others' figures**\n\n" + table(head, others) + other_rows])
 
 
-def seeds(found: Sequence[Row], starts: int) -> str:
-    """How many seeds each experiment's figures are of; PixelAI's, one per joint, are means over `starts` seeds."""
-    counts = dict[str, int]()
+def _experiment(line: str) -> str:
+    """The experiment of a claim's row, or nothing."""
+    row = re.match(r"\| (\w+)\.\d+ \|", line)
+    return row[1] if row else ""
+
+
+def seeds(found: Sequence[Row], page: str) -> str:
+    """How many seeds each experiment's figures are of; PixelAI's, one per joint, are means over ten seeds."""
+    counts = {name: int(count) for count, names in re.findall(r"(\d+) \(([\w, ]+)\)[;.]? ", page.split(SEEDS)[-1])
+              for name in names.split(", ")}  # fmt: skip
     for claim in found:
         for one in claim["outcomes"].values():
             name = claim["id"].partition(".")[0]
-            counts[name] = max(counts.get(name, 0), len(one["figures"]))
+            counts[name] = len(one["figures"])
     by: dict[int, list[str]] = {}
     for name, count in counts.items():
         if name not in ("E6", "PixelAI"):
             by.setdefault(count, []).append(name)
     listed = "; ".join(f"{count} ({', '.join(names)})" for count, names in sorted(by.items(), reverse=True))
-    return (
-        f"Seeds by experiment: {listed}; "
-        f"PixelAI's figures are one per joint, means over {starts} seeds and all starts.\n"
-    )
+    return f"{SEEDS}{listed}; PixelAI's figures are one per joint, means over {PIXELAI_SEEDS} seeds and all starts.\n"
 
 
 def errata(found: Sequence[Row]) -> str:
@@ -80,11 +100,16 @@ def _erratum(claim: Row) -> tuple[str, ...]:
 
 
 def _paper(claim: Row) -> tuple[str, ...]:
-    outcomes = list(claim["outcomes"].values())
-    kept = f"{sum(one['keeps'] for one in outcomes)} of {len(outcomes)}" if outcomes else ""
+    outcomes, counts = claim["outcomes"], claim["counts"]
+    numbers = tuple(str(counts[state]) if outcomes else "" for state in ("kept", "refuted", "untested"))
     control = f" (control: {'; '.join(claim['controls'])})" if claim["controls"] else ""
     text = claim["text"] + (f": {claim['explanation']}" if not outcomes else f": {_measured(claim)}{control}")
-    return claim["id"], text, claim["bound"], _first(claim), kept, f"**{claim['verdict']}**", claim["turns"]
+    return claim["id"], text, claim["bound"], _first(claim), *numbers, f"**{claim['verdict']}**", claim["turns"]
+
+
+def _reasons(found: Sequence[Row]) -> list[tuple[str, str]]:
+    """A row for each claim that some reading refutes or does not test."""
+    return [(claim["id"], "; ".join(claim["reasons"])) for claim in found if claim["outcomes"] and claim["reasons"]]
 
 
 def _comparison(claim: Row) -> tuple[str, ...]:
@@ -115,10 +140,10 @@ def _first(claim: Row) -> str:
 
 
 def _figure(one: Row) -> str:
-    if not one["figures"]:
-        return "see `cost.json`"
-    low, high = one["interval"]
-    return "diverged" if one["median"] is None else f"{one['median']:.3g} ({low:.3g} to {high:.3g})"
+    if one["median"] is None:
+        return "diverged"
+    median, low, high = (float(number) for number in (one["median"], *one["interval"]))
+    return f"{median:.3g} ({low:.3g} to {high:.3g})"
 
 
 def figures(folder: Path, experiment: str) -> dict[str, list[float]]:
@@ -134,15 +159,30 @@ def figures(folder: Path, experiment: str) -> dict[str, list[float]]:
 def drift(found: Mapping[str, Sequence[float]]) -> str:
     """The rubber hand's drift by what was swept, a table each."""
     count = len(next(iter(found.values())))
-    units = {"asynchrony": "late by, s", "displacement": "aside by, in 16 cm", "noise": "noise on the encoders, rad"}
+    units = {
+        "asynchrony": "late by, s",
+        "displacement": "aside by, in 16 cm",
+        "noise": "noise on the encoders, rad",
+    }
     parts = [f"Medians over {count} seeds, a hand on the right; in brackets the interval of the median.\n"]
     for what, unit in units.items():
         names = sorted(
-            (n for n in found if n.startswith(what) and n.endswith(" right")), key=lambda n: float(n.split()[1])
+            (n for n in found if n.startswith(f"{what} ") and n.endswith(" right")), key=lambda n: float(n.split()[-2])
         )
-        rows = [(n.split()[1], *(_spread(found[f"{n}{kind}"]) for kind in ("", " px", " cm", " rad"))) for n in names]
+        rows = [(n.split()[-2], *(_spread(found[f"{n}{kind}"]) for kind in ("", " px", " cm", " rad"))) for n in names]
         parts.append(table((unit, "share of the displacement", "px", "cm", "largest move of a joint, rad"), rows))
+    parts.append(both_curves(found))
     return "\n".join(parts)
+
+
+def both_curves(found: Mapping[str, Sequence[float]]) -> str:
+    """Drift over displacement, cm: a common cause taken for granted, and inferred."""
+    names = sorted((n for n in found if re.fullmatch(r"displacement \S+ right", n)), key=lambda n: float(n.split()[1]))
+    rows = []
+    for name in names:
+        aside = median(found[f"{name} cm"]) / median(found[name])
+        rows.append((f"{aside:.3g}", *(_spread(found[f"{kind}{name} cm"]) for kind in ("", "inferred "))))
+    return table(("aside by, cm", "drift, cm: common cause taken for granted", "drift, cm: inferred, prior 0.5"), rows)
 
 
 def baselines(found: Mapping[str, Sequence[float]]) -> str:
@@ -178,15 +218,19 @@ def between(text: str, marks: tuple[str, str], part: str) -> str:
 if __name__ == "__main__":
     out = Path(sys.argv[1])
     judged = json.loads((out / "claims.json").read_text(encoding="utf-8"))
+    page = PAGE.read_text(encoding="utf-8")
+    old = page.split(CLAIMS[0])[1].split(CLAIMS[1])[0]
     parts = {
         PAGE: {
             READINGS: readings(),
-            CLAIMS: claims(judged) + "\n" + seeds(judged, len(next(iter(figures(out, "PixelAI").values())))),
+            CLAIMS: claims(judged, old) + "\n" + seeds(judged, old),
             ERRATA: errata(judged),
-        },
-        DOCS / "rubber-hand.md": {DRIFT: drift(figures(out, "Rubber-hand"))},
-        DOCS.parent / "README.md": {BASELINES: baselines(figures(out, "Baselines"))},
+        }
     }
+    if rubber := figures(out, "Rubber-hand"):
+        parts[DOCS / "rubber-hand.md"] = {DRIFT: drift(rubber)}
+    if baseline := figures(out, "Baselines"):
+        parts[DOCS.parent / "README.md"] = {BASELINES: baselines(baseline)}
     for path, marked in parts.items():
         text = path.read_text(encoding="utf-8")
         for marks, part in marked.items():

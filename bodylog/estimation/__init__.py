@@ -8,6 +8,7 @@ from ..errors import UsageError
 from ..runtime.blas_threads import one_thread
 from ..settings import Estimation
 from ..types import Estimate, Features
+from .common_cause import infer_common_causes
 from .faults.consistency import consistency_findings
 from .inference import kernel
 from .measurements import gather
@@ -41,7 +42,11 @@ def estimate(
 def _timely(features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float]) -> Estimate:
     """The method's estimate from images at the time when they were taken."""
     timely = corrected(features, body, delay)
-    found = finite(METHODS[settings.method].estimate(timely.features, body, settings))
+
+    def solve(sensed: Features, chosen: Estimation) -> Estimate:
+        return finite(METHODS[settings.method].estimate(sensed, body, chosen))
+
+    found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
     used = dict(found.settings)
     if timely.delays:
         found = add_delay_uncertainty(as_stamped(found, features, timely.features), timely)

@@ -1,6 +1,6 @@
 """The paper's experiments, run in every reading and with our default, judged over seeds, on one page."""
 
-from .judging import Claim
+from .claims import Claim
 from .records import Experiment
 from .rubber_hand import Setting
 from .run import Reproduction, reproduce

@@ -7,12 +7,12 @@ import numpy as np
 from ..types import Array
 from .beliefs import Belief, ours
 from .cases import case, explored, signals
-from .judging import Bound, Claim, interval, own
+from .claims import Bound, Claim
+from .judging import interval, own
 from .lab import ELSEWHERE, JOINTS, Lab, ObservedLog
 from .oracle import Known, OracleInputs, known
-from .printed import believed
+from .printed import believed, filter_encoders
 from .records import Experiment, Readings, Table, Trial, column
-from .static import kalman
 
 DURATION, SINCE = 20.0, 2.0
 """s: duration of a reach, hidden for two seconds in its middle, and start of the errors counted."""
@@ -43,7 +43,7 @@ def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
             believed(log, [case(explored(lab.body("paper", seed)), {}, "p+v", start)]).x[0], SINCE
         ),
     }
-    figures["Kalman filter of the paper, encoders alone"] = log.error(kalman(log, start), SINCE)
+    figures["Kalman filter of the paper, encoders alone"] = log.error(filter_encoders(log, start), SINCE)
     for method, name in (("laplace", "filter"), ("smoother", "smoother")):
         figures[f"{name}, encoders alone"] = _of(ours(observed, body, ("encoders",), method=method))
         figures[name] = _of(ours(observed, body, ("encoders", "vision"), method=method))

@@ -18,6 +18,8 @@ SCALE = float(np.exp(0.1))
 """The printed l, rad."""
 A_1 = 0.001
 """The printed a_1."""
+HAND_STD_PX = 0.3
+"""Error of the hand's place where the touched cell's place is known."""
 LATE = 0.2
 """s: a hand last seen longer ago counts as unseen."""
 
@@ -90,7 +92,9 @@ def case(
     prior = {"belief": start, "home": known.home, "zero": np.zeros(len(start))}[readings.value(reading, "mu_x")]
     unit, integration = _unit(known, reading, "sigma_v"), readings.value(reading, "integration")
     felt = _touching(known, reading) if touch or "t" in parts else None
-    return Case(known.map(reading), encoders, "v" in parts, unit, integration, start, prior, felt, square)
+    rate = readings.number(reading, "lambda")
+    assert rate is not None
+    return Case(known.map(reading), encoders, "v" in parts, unit, integration, start, prior, felt, square, rate=rate)
 
 
 def cases(known: Explored, names: Sequence[str], off: Array | float = 0.0) -> Callable[[Reading, Signals], Cases]:
@@ -120,9 +124,20 @@ def beside(body: BodyModel) -> Array:
     return np.asarray(places.mean(axis=0)) if len(places) else np.zeros(2)
 
 
-def placed(sensed: Signals, reading: Reading, by: Array) -> Signals:
-    """The signals with the hand in this reading of o_v; touched skin is seen `by` (2,) px beside the effector."""
-    return sensed if readings.value(reading, "o_v") == "hand" else replace(sensed, hand=sensed.hand - by)
+def place_hand(sensed: Signals, reading: Reading, by: Array, aside: float, seed: int) -> Signals:
+    """The signals with the hand in this reading of o_v.
+
+    by (2,) px: where touched skin is seen beside the effector, in the mean · aside px: the image's displacement to the
+    right of the arm, 0 where the hand is seen where it touches.
+    """
+    where = readings.value(reading, "o_v")
+    if where == "hand":
+        return sensed
+    if where == "stroke":
+        return replace(sensed, hand=sensed.hand - by)
+    error = HAND_STD_PX * np.random.default_rng([seed, 24]).standard_normal(sensed.hand.shape)
+    touched = place(sensed.true) + np.array([aside, 0.0]) + error
+    return replace(sensed, hand=np.where(np.isfinite(sensed.hand), touched, np.nan))
 
 
 def signals(observed: ObservedLog, joints: Sequence[str] = JOINTS) -> Signals:

@@ -12,8 +12,9 @@ from .. import pipeline
 from ..settings import Settings
 from ..types import Array, Features, Recording
 from .cases import Explored, explored, signals
+from .claims import Claim
 from .drawn import effector
-from .judging import Claim, untestable
+from .judging import untestable
 from .lab import NAMES, Lab, ObservedLog
 from .records import Experiment, Readings, Trial, panel
 

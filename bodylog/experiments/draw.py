@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from ..report.figures.canvas import LINES, figure
-from .judging import Claim, Outcome
-from .records import Trial, column
+from .claims import KEPT, REFUTED, UNTESTED, Claim, Outcome
 
-KEPT, BROKEN = "#2a9d68", "#d1495b"
+INK = {KEPT: "#2a9d68", REFUTED: "#d1495b", UNTESTED: "#8a94a0"}
+"""Colour of a reading by what it does to the claim."""
 WIDE = 30.0
 """Figures whose sizes differ by more are drawn on a logarithmic axis."""
 REAL = ("true ", "truth")
@@ -44,27 +44,8 @@ def _trace(axis: Any, shown: Mapping[str, Any]) -> None:
         axis.legend(fontsize=7)
 
 
-def curves(trials: Sequence[Trial], out: Path) -> None:
-    """Measured costs by size, one line per quantity with its exponent: medians over the seeds."""
-    found: dict[str, dict[int, float]] = {}
-    for name in trials[0]["figures"]:
-        what, _, size = name.rpartition(" ")
-        if size.isdigit():
-            found.setdefault(what, {})[int(size)] = float(np.median(column(trials, name)))
-    with figure(out, 7.0, 4.0) as drawing:
-        axis = drawing.subplots()
-        for index, (what, costs) in enumerate(sorted(found.items())):
-            power = float(np.median(column(trials, f"{what} exponent")))
-            sizes = sorted(costs)
-            label = f"{what}: exponent {power:.2f}"
-            axis.loglog(sizes, [1e6 * costs[n] for n in sizes], "o-", color=LINES[index % len(LINES)], label=label)
-        axis.set_xlabel("samples, or senses and joints")
-        axis.set_ylabel("µs")
-        axis.legend(fontsize=7)
-
-
 def spreads(claims: Sequence[Claim], out: Path) -> None:
-    """One strip per claim: a dot per reading with its interval, green where the claim is kept, and the bound."""
+    """One strip per claim: a dot per reading with its interval, coloured by its state, and the bound."""
     shown = [claim for claim in claims if claim.outcomes]
     heights = [0.55 + 0.11 * len(claim.outcomes) for claim in shown]
     with figure(out, 9.0, sum(heights) + 0.4) as drawing:
@@ -116,7 +97,7 @@ def _sweep(axis: Any, claim: Claim, name: str, swept: Sequence[tuple[float, Outc
 
 
 def _ink(one: Outcome) -> str:
-    return KEPT if one.keeps else BROKEN
+    return INK[one.state]
 
 
 def _scale(axis: Any, values: Any) -> None:

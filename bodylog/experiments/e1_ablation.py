@@ -9,12 +9,12 @@ from ..types import Array
 from . import drawn, readings
 from .beliefs import Belief, ours
 from .cases import Explored, Made, cases, explored, signals, study
-from .judging import Bound, Claim, Control, own, paper
+from .claims import Bound, Claim, Control
+from .judging import own, paper
 from .lab import NAMES, Lab, ObservedLog
-from .printed import Signals
+from .printed import Signals, filter_encoders
 from .readings import Reading
 from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
-from .static import kalman
 
 SENSES = ("v", "p1+p3+v", "p+v", "p")
 OURS = {"v": ("vision",), "p1+p3+v": ("shoulder_pan_joint", "elbow_joint", "vision"),
@@ -25,7 +25,7 @@ SIDEWAYS = (True, True, False)
 """The elbow does not move, in exploration and in the test."""
 FAST, SLOW = "4", "60"
 """s: the periods of fast and slow dynamics that are compared."""
-CONCERNED = ("sigma_n", "sigma_v", "mu_x", "integration", "speed", "noise")
+CONCERNED = ("sigma_n", "sigma_v", "mu_x", "integration", "lambda", "speed", "noise")
 
 
 class Logs:
@@ -75,7 +75,7 @@ def _lagging(known: Explored, logs: Logs, tried: Sequence[Reading], speed: str) 
 
 def _figures(made: Made) -> dict[str, float]:
     found = {name: made.error(name, drawn.SETTLING) for name in SENSES}
-    beside = kalman(made.signals, made.signals.true[0] + OFF)
+    beside = filter_encoders(made.signals, made.signals.true[0] + OFF)
     found["Kalman"] = made.signals.error(beside, drawn.SETTLING)
     for more, fewer in (("p1+p3+v", "v"), ("p+v", "p1+p3+v"), ("p+v", "p")):
         found[f"{more} over {fewer}"] = found[more] / found[fewer]
@@ -115,7 +115,7 @@ def _ours(lab: Lab, seed: int, observed: ObservedLog) -> tuple[dict[str, float],
 
 def _panels(made: Made, beliefs: Mapping[str, Belief]) -> list[dict[str, Any]]:
     t, true = made.signals.t, made.signals.true
-    beside = {**made.x, "Kalman": kalman(made.signals, true[0] + OFF)}
+    beside = {**made.x, "Kalman": filter_encoders(made.signals, true[0] + OFF)}
     panels = []
     for i, joint in enumerate(NAMES):
         lines = {name: made.x[name][:, i] for name in ("v", "p1+p3+v", "p+v")}

@@ -16,7 +16,8 @@ from ..types import Array
 from . import drawn, readings
 from .beliefs import Belief, believed, estimated
 from .cases import Explored, Made, case, explored, signals, study
-from .judging import Bound, Claim, Control, own, paper
+from .claims import Bound, Claim, Control
+from .judging import own, paper
 from .lab import NAMES, Lab, ObservedLog
 from .printed import Case, Signals
 from .readings import Reading
@@ -28,7 +29,7 @@ NEAR = 0.05
 """rad: a belief's size this close to the truth's has converged."""
 BEGINS = 5.0
 """s when the arm starts moving."""
-CONCERNED = ("sigma_n", "sigma_v", "integration", "speed", "noise")
+CONCERNED = ("sigma_n", "sigma_v", "integration", "lambda", "speed", "noise")
 """Constants that the claims may depend on; the prior is printed here."""
 
 
@@ -88,11 +89,13 @@ def _lag(made: Made, senses: str, rows: Array) -> float:
 
 
 def converged(t: Array, x: Array, true: Array) -> float:
-    """Seconds until every joint's size stays within NEAR of the truth's; NaN when it never does."""
+    """Seconds until every joint's size stays within NEAR of the truth's; infinite if never, NaN if it diverged."""
+    if np.isnan(x).any():
+        return float("nan")
     beyond = np.flatnonzero(~(np.abs(np.abs(x) - np.abs(true)).max(axis=1) < NEAR))
     if not len(beyond):
         return 0.0
-    return float(t[beyond[-1] + 1] - t[0]) if beyond[-1] + 1 < len(t) else float("nan")
+    return float(t[beyond[-1] + 1] - t[0]) if beyond[-1] + 1 < len(t) else float("inf")
 
 
 @dataclass(frozen=True)
@@ -153,7 +156,7 @@ def _panels(made: Made, beliefs: dict[str, Belief]) -> list[dict[str, Any]]:
 def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
     figures = by_reading(trials)
     close = Control("error of the joints whose sign was right", "rad", Bound("≤", NEAR), "signed")
-    still = tried.restricted("integration", "noise")
+    still = tried.restricted("integration", "lambda", "noise")
     alone = np.median(figures(tried.keys[0], "slower than p"))
     slower = f"over that of p alone it is {alone:.2f}: the slope of x² is 2x, above 1 where |x| > ½ rad"
     rows: tuple[tuple[str, str, str, Bound, str, Readings, tuple[Control, ...], str], ...] = (

@@ -14,7 +14,8 @@ from ..types import Array
 from . import drawn, readings
 from .beliefs import Belief, ours
 from .cases import cases, explored, signals, study
-from .judging import Bound, Claim, Control, own, paper
+from .claims import Bound, Claim, Control
+from .judging import own, paper
 from .lab import Lab, ObservedLog
 from .printed import Signals
 from .readings import Reading
@@ -25,7 +26,7 @@ DRIFT, BEGINS, FULL = 0.3, 8.0, 24.0
 SECONDS = 32.0
 INDUCED = 0.01
 """rad: a smaller bias of another joint counts as zero."""
-CONCERNED = ("sigma_n", "sigma_v", "mu_x", "integration", "speed", "noise")
+CONCERNED = ("sigma_n", "sigma_v", "mu_x", "integration", "lambda", "speed", "noise")
 
 
 def drifted(observed: ObservedLog) -> ObservedLog:

@@ -8,9 +8,10 @@ import numpy as np
 from ..types import Array
 from . import readings
 from .cases import beside, cases, explored, study
+from .claims import Bound, Claim, Control
 from .drawn import SIZE
 from .e4_refinement import Noises
-from .judging import Bound, Claim, Control, own, paper
+from .judging import own, paper
 from .lab import NAMES, Lab, ObservedLog
 from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
 
@@ -23,7 +24,7 @@ OWN_NOISE = 0.01
 """rad: the encoders' noise in these logs."""
 NOTICED = 0.01
 """Share of the displacement below which a drift counts as zero."""
-CONCERNED = ("sigma_n", "integration", "noise", "b_1", "o_v", "s_t", "sigma_t", "a_2", "b_2")
+CONCERNED = ("sigma_n", "integration", "lambda", "noise", "b_1", "o_v", "s_t", "sigma_t", "a_2", "b_2")
 
 
 def stroked(lab: Lab, seed: int, rhythm: str, side: str) -> ObservedLog:
@@ -39,7 +40,7 @@ def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
         for side, sign in SIDES.items():
             log = stroked(lab, seed, rhythm, side)
             figures[f"{rhythm} {side} weight"] = float(np.mean([pair.weight for pair in log.features.synchrony]))
-            logs = Noises(log, OWN_NOISE, beside(body), seed)
+            logs = Noises(log, OWN_NOISE, beside(body), seed, sign * DISPLACEMENT)
             found = study(tried.all, logs.signals, cases(known, ("p", "p+t")))
             for reading in tried.all:
                 key = readings.key(reading)

@@ -11,18 +11,18 @@ import numpy as np
 from ..io import atomic_files
 from ..recording.tables import saver
 from ..types import Array
-from .judging import Claim
+from .claims import Claim
 from .records import Trial
 
 Columns = Mapping[str, Array]
 
 
-def write(out: Path, trials: Mapping[str, Sequence[Trial]], claims: Sequence[Claim], timed: Sequence[str]) -> None:
+def write(out: Path, trials: Mapping[str, Sequence[Trial]], claims: Sequence[Claim]) -> None:
     """Write data/NAME.csv and .parquet: each experiment's figures over time, every seed's figures, every outcome."""
     folder = out / "data"
     folder.mkdir(exist_ok=True)
     tables = {name: series(found[0]["panels"]) for name, found in trials.items() if found[0]["panels"]}
-    tables["figures"] = figures({name: found for name, found in trials.items() if name not in timed})
+    tables["figures"] = figures(trials)
     tables["outcomes"] = outcomes(claims)
     for form in ("csv", "parquet") if find_spec("pyarrow") else ("csv",):
         save = _csv if form == "csv" else saver(form)
@@ -66,7 +66,6 @@ def outcomes(claims: Sequence[Claim]) -> Columns:
         found = [(key, "", np.nan, one) for key, one in claim.outcomes.items()]
         found += [("", name, number, one) for name, swept in claim.sweeps.items() for number, one in swept]
         for reading, constant, number, one in found:
-            kept = "yes" if one.keeps else "no"
             rows.append(
                 (
                     claim.id,
@@ -77,12 +76,15 @@ def outcomes(claims: Sequence[Claim]) -> Columns:
                     claim.bound,
                     one.median,
                     *one.interval,
-                    one.share,
-                    kept,
+                    one.tested_seeds,
+                    one.kept_seeds,
+                    one.state,
+                    one.reason,
                 )
             )
-    head = ("claim", "kind", "reading", "swept", "number", "bound", "median", "low", "high", "share", "kept")
-    return _columns(head, rows, (4, 6, 7, 8, 9))
+    places = ("claim", "kind", "reading", "swept", "number", "bound")
+    head = (*places, "median", "low", "high", "tested_seeds", "kept_seeds", "state", "reason")
+    return _columns(head, rows, (4, 6, 7, 8, 9, 10))
 
 
 def _columns(head: Sequence[str], rows: Sequence[Sequence[Any]], numbers: Sequence[int]) -> Columns:

@@ -7,7 +7,7 @@ import numpy as np
 
 
 def jsonable(value: Any) -> Any:
-    """The value without NumPy types; a number that is not finite is null."""
+    """The value without NumPy types; infinity is the text inf, what is not a number is null."""
     if isinstance(value, Mapping):
         return {str(key): jsonable(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -15,5 +15,7 @@ def jsonable(value: Any) -> Any:
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
+        if np.isnan(value):
+            return None
+        return float(value) if np.isfinite(value) else str(float(value))
     return value.item() if isinstance(value, np.generic) else value

@@ -1,90 +1,33 @@
-"""Judge claims: in every reading over all seeds, with the controls that a reading must pass to test the claim."""
+"""Judge claims in every reading over all seeds: kept, refuted, or not tested where a control fails."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 from math import comb
 
 import numpy as np
 
 from . import readings
+from .claims import (
+    DEPENDS,
+    KEPT,
+    OWN_FAILS,
+    OWN_HOLDS,
+    REFUTED,
+    UNTESTABLE,
+    UNTESTED,
+    Bound,
+    Claim,
+    Control,
+    Counts,
+    Outcome,
+)
 from .readings import CENTRE, CONSTANTS
 
 SHARE = 0.9
-"""A reading keeps a claim when at least this share of the seeds does."""
-FEWEST = 3
-"""Readings that must be tried before a claim may fail."""
-HOLDS, DEPENDS, FAILS = "holds in every reading", "depends on", "fails in every reading tried"
-FEW, UNTESTABLE = "fails, but in fewer than three readings", "not testable here"
-OWN_HOLDS, OWN_FAILS = "holds", "does not hold"
+"""Share of the seeds that decides: so many must test a claim in a reading, and so many of those must keep it."""
 CONFIDENCE = 0.95
-
-
-@dataclass(frozen=True)
-class Bound:
-    """The bound of a figure for the claim to hold: at most or at least a limit."""
-
-    sign: str
-    limit: float
-
-    def kept(self, figures: Sequence[float]) -> tuple[bool, ...]:
-        """Which of the figures are within the bound; one that is not a number is not."""
-        values = np.asarray(figures, float)
-        return tuple((values <= self.limit if self.sign == "≤" else values >= self.limit).tolist())
-
-    def __str__(self) -> str:
-        """As read on the page."""
-        return f"{self.sign} {self.limit:g}"
-
-
-@dataclass(frozen=True)
-class Control:
-    """A condition for a reading to test a claim: a figure's name and its bound."""
-
-    measured: str
-    unit: str
-    bound: Bound
-    figure: str
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """One reading's result: figures by seed, their median and its 95 % interval, share of seeds that keep the claim.
-
-    control: the share of seeds in which the controls hold; `share` counts seeds in which both do.
-    """
-
-    figures: tuple[float, ...]
-    median: float
-    interval: tuple[float, float]
-    share: float
-    control: float
-    keeps: bool
-
-
-@dataclass(frozen=True)
-class Claim:
-    """One sentence judged. kind: paper, own or comparison.
-
-    outcomes {reading: Outcome} decide; sweeps {constant: [(number, Outcome)]} show where the verdict changes; `turns`
-    is that as text. For a claim of our own or a comparison, outcomes has one entry, of our default.
-    """
-
-    id: str
-    kind: str
-    text: str
-    measured: str
-    unit: str
-    bound: str
-    verdict: str
-    outcomes: Mapping[str, Outcome]
-    controls: tuple[str, ...] = ()
-    sweeps: Mapping[str, tuple[tuple[float, Outcome], ...]] = field(default_factory=dict)
-    turns: str = ""
-    explanation: str = ""
-    shared: str = ""
-    differences: str = ""
-
+DIVERGED = "the model diverged"
 
 Swept = tuple[str, float, str]
 """A constant, a number on its axis, and the key of that reading."""
@@ -98,24 +41,23 @@ def paper(
     tried: Sequence[str], swept: Sequence[Swept] = (), controls: Sequence[Control] = (), explanation: str = "",
 ) -> Claim:  # fmt: skip
     """A claim of the paper, judged in the readings `tried` (keys), with those that sweep one constant each."""
-    outcomes = {key: outcome(bound, figure, figures, key, controls) for key in tried}
-    swings = _swings(swept, lambda key: outcome(bound, figure, figures, key, controls))
+    outcomes = {key: judge_reading(bound, figure, figures, key, controls) for key in tried}
+    swings = _swings(swept, lambda key: judge_reading(bound, figure, figures, key, controls))
     verdict, guilty = verdict_of(outcomes)
     swings = {name: found for name, found in swings.items() if name in guilty}
     texts = tuple(f"{c.measured}: {c.bound}{_unit(c.unit)}" for c in controls)
-    text_of_turns = turns(outcomes, swings, guilty)
     return Claim(
-        name, "paper", text, measured, unit, str(bound), verdict, outcomes, texts, swings, text_of_turns, explanation
-    )
+        name, "paper", text, measured, unit, str(bound), verdict, outcomes, count_states(outcomes),
+        list_reasons(outcomes), texts, swings, turns(outcomes, swings, guilty), explanation,
+    )  # fmt: skip
 
 
 def own(
     name: str, text: str, measured: str, unit: str, bound: Bound, figures: Sequence[float], explanation: str = ""
 ) -> Claim:
-    """A claim of our own, of our default alone."""
-    found = _outcome(bound, figures, [True] * len(figures))
-    verdict = OWN_HOLDS if found.keeps else OWN_FAILS
-    return Claim(name, "own", text, measured, unit, str(bound), verdict, {"default": found}, (), {}, "", explanation)
+    """A claim of our own, of our default alone; a belief that diverged refutes it."""
+    outcomes = {"default": _judge_all_seeds(bound, figures)}
+    return _decided("own", name, text, measured, unit, bound, outcomes, explanation)
 
 
 def comparison(
@@ -123,20 +65,32 @@ def comparison(
     shared: str, differences: str,
 ) -> Claim:  # fmt: skip
     """A comparison with others' figures, with the setup's shared and differing parts; the last figure decides."""
-    found = {who: _outcome(bound, values, [True] * len(values)) for who, values in figures.items()}
-    verdict = OWN_HOLDS if list(found.values())[-1].keeps else OWN_FAILS
-    return Claim(
-        name, "comparison", text, measured, unit, str(bound), verdict, found, shared=shared, differences=differences
-    )
+    outcomes = {who: _judge_all_seeds(bound, values) for who, values in figures.items()}
+    claim = _decided("comparison", name, text, measured, unit, bound, outcomes)
+    return replace(claim, shared=shared, differences=differences)
 
 
 def erratum(
     name: str, text: str, measured: str, unit: str, bound: Bound, figures: Mapping[str, Sequence[float]],
     derivation: str,
 ) -> Claim:  # fmt: skip
-    """An equation's effect as printed and as run here, with the derivation."""
-    found = comparison(name, text, measured, unit, bound, figures, "", "")
-    return replace(found, kind="erratum", explanation=derivation)
+    """An equation's effect as printed and, last, as run here, with the derivation."""
+    outcomes = {who: _judge_all_seeds(bound, values) for who, values in figures.items()}
+    return _decided("erratum", name, text, measured, unit, bound, outcomes, derivation)
+
+
+def _decided(
+    kind: str, name: str, text: str, measured: str, unit: str, bound: Bound, outcomes: Mapping[str, Outcome],
+    explanation: str = "",
+) -> Claim:  # fmt: skip
+    """A claim that its last outcome decides."""
+    who, last = list(outcomes.items())[-1]
+    verdict = OWN_HOLDS if last.state == KEPT else OWN_FAILS
+    decisive = {who: last}
+    return Claim(
+        name, kind, text, measured, unit, str(bound), verdict, outcomes, count_states(decisive),
+        list_reasons(decisive), explanation=explanation,
+    )  # fmt: skip
 
 
 def variants(
@@ -144,40 +98,75 @@ def variants(
     apart: str, explanation: str = "",
 ) -> Claim:  # fmt: skip
     """A claim of the paper about no constant, judged in variants of its wording; `apart` is their difference."""
-    found = {who: _outcome(bound, values, [True] * len(values)) for who, values in figures.items()}
-    verdict = _varied([one.keeps for one in found.values()], apart)
-    texts = "; ".join(f"{'kept' if one.keeps else 'not kept'}: {who}" for who, one in found.items())
-    turns = texts if DEPENDS in verdict else ""
-    return Claim(name, "paper", text, measured, unit, str(bound), verdict, found, turns=turns, explanation=explanation)
-
-
-def _varied(kept: Sequence[bool], apart: str) -> str:
-    if len(kept) == 1:
-        return OWN_HOLDS if kept[0] else OWN_FAILS
-    if all(kept):
-        return HOLDS
-    return f"{DEPENDS} {apart}" if any(kept) else FAILS if len(kept) >= FEWEST else FEW
+    outcomes = {who: _judge_all_seeds(bound, values) for who, values in figures.items()}
+    states = {one.state for one in outcomes.values()}
+    verdict = f"{DEPENDS} {apart}" if len(states) > 1 else states.pop()
+    texts = "; ".join(f"{one.state}: {who}" for who, one in outcomes.items())
+    return Claim(
+        name, "paper", text, measured, unit, str(bound), verdict, outcomes, count_states(outcomes),
+        list_reasons(outcomes), turns=texts if DEPENDS in verdict else "", explanation=explanation,
+    )  # fmt: skip
 
 
 def untestable(name: str, text: str, why: str) -> Claim:
     """A claim of the paper that no simulation can decide, and why."""
-    return Claim(name, "paper", text, "", "1", "", UNTESTABLE, {}, explanation=why)
+    reasons = (f"{UNTESTED}: {why}",)
+    return Claim(name, "paper", text, "", "1", "", UNTESTABLE, {}, Counts(), reasons, explanation=why)
 
 
-def outcome(bound: Bound, figure: str, figures: Figures, key: str, controls: Sequence[Control]) -> Outcome:
-    """The outcome of a claim in one reading."""
-    held = [control.bound.kept(figures(key, control.figure)) for control in controls]
+def judge_reading(bound: Bound, figure: str, figures: Figures, key: str, controls: Sequence[Control]) -> Outcome:
+    """What one reading does to a claim.
+
+    A seed in which the model diverges or a control fails does not test the claim. A reading tests it where nine of ten
+    seeds do, and keeps it where nine of ten of those do.
+    """
     values = figures(key, figure)
-    return _outcome(bound, values, [all(row) for row in zip(*held, strict=True)] if held else [True] * len(values))
+    failures = {DIVERGED: [bool(np.isnan(value)) for value in values]}
+    for control in controls:
+        found = figures(key, control.figure)
+        kept = control.bound.kept(found)
+        failed = [not good and not gone for good, gone in zip(kept, failures[DIVERGED], strict=True)]
+        where = np.median([value for value, bad in zip(found, failed, strict=True) if bad]) if any(failed) else 0.0
+        text = f"{control.measured} is {where:.3g}{_unit(control.unit)} and must be {control.bound}"
+        failures[text] = failed
+    tested = [not any(column) for column in zip(*failures.values(), strict=True)]
+    return _outcome(bound, values, tested, {text: sum(failed) for text, failed in failures.items()})
 
 
-def _outcome(bound: Bound, values: Sequence[float], controlled: Sequence[bool]) -> Outcome:
-    both = [a and b for a, b in zip(bound.kept(values), controlled, strict=True)]
-    share, control = (float(np.mean(found)) if found else 0.0 for found in (both, list(controlled)))
-    finite = np.asarray(values, float)
-    finite = finite[np.isfinite(finite)]
-    median = float(np.median(finite)) if len(finite) else float("nan")
-    return Outcome(tuple(float(v) for v in values), median, interval(finite.tolist()), share, control, share >= SHARE)
+def _judge_all_seeds(bound: Bound, values: Sequence[float]) -> Outcome:
+    """What figures do to a claim that every seed tests."""
+    return _outcome(bound, values, [True] * len(values), {})
+
+
+def _outcome(bound: Bound, values: Sequence[float], tested: Sequence[bool], failures: Mapping[str, int]) -> Outcome:
+    seeds, tests = len(values), sum(tested)
+    keeps = sum(kept and sound for kept, sound in zip(bound.kept(values), tested, strict=True))
+    numbers = [float(value) for value in values if not np.isnan(value)]
+    median = float(np.median(numbers)) if numbers else float("nan")
+    if tests < SHARE * seeds:
+        state = UNTESTED
+        found = [f"{text}, in {count} of {seeds} seeds" for text, count in failures.items() if count]
+        reason = "; ".join(found)
+    else:
+        state = KEPT if keeps >= SHARE * tests else REFUTED
+        reason = "" if state == KEPT else f"{median:.3g}, kept by {keeps} of {tests} seeds"
+    return Outcome(tuple(map(float, values)), median, interval(numbers), tests, keeps, state, reason)
+
+
+def count_states(outcomes: Mapping[str, Outcome]) -> Counts:
+    """In how many of the readings the claim is kept, refuted and not tested."""
+    states = [one.state for one in outcomes.values()]
+    return Counts(*(states.count(state) for state in (KEPT, REFUTED, UNTESTED)))
+
+
+def list_reasons(outcomes: Mapping[str, Outcome]) -> tuple[str, ...]:
+    """Why readings refute or do not test a claim: a text for each reason, with the readings that have it."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for state in (REFUTED, UNTESTED):
+        for key, one in outcomes.items():
+            if one.state == state:
+                groups.setdefault((state, one.reason), []).append(key)
+    return tuple(f"{state} at {'; '.join(keys)}: {reason}" for (state, reason), keys in groups.items())
 
 
 def interval(values: Sequence[float]) -> tuple[float, float]:
@@ -196,14 +185,17 @@ def interval(values: Sequence[float]) -> tuple[float, float]:
 
 
 def verdict_of(outcomes: Mapping[str, Outcome]) -> tuple[str, tuple[str, ...]]:
-    """The verdict, and the constants it depends on: those that turn it alone, else those of the readings that do."""
-    kept = {key: found.keeps for key, found in outcomes.items()}
-    if all(kept.values()):
-        return (HOLDS if len(kept) > 1 else OWN_HOLDS), ()
-    if not any(kept.values()):
-        return (FAILS if len(kept) >= FEWEST else FEW if len(kept) > 1 else OWN_FAILS), ()
-    first = kept.get(CENTRE, next(iter(kept.values())))
-    other = [readings.parsed(key) for key, keeps in kept.items() if keeps != first]
+    """The verdict over the readings that test a claim, and the constants it depends on.
+
+    These are the constants that change the verdict alone, else those of the readings with the fewest that do.
+    """
+    states = {key: found.state for key, found in outcomes.items() if found.state != UNTESTED}
+    if not states:
+        return UNTESTED, ()
+    first = states.get(CENTRE, next(iter(states.values())))
+    other = [readings.parsed(key) for key, state in states.items() if state != first]
+    if not other:
+        return first, ()
     fewest = min(len(reading) for reading in other)
     named = {name for reading in other if len(reading) == fewest for name in reading}
     guilty = tuple(name for name in CONSTANTS if name in named)
@@ -213,10 +205,11 @@ def verdict_of(outcomes: Mapping[str, Outcome]) -> tuple[str, tuple[str, ...]]:
 def turns(
     outcomes: Mapping[str, Outcome], swept: Mapping[str, Sequence[tuple[float, Outcome]]], guilty: Sequence[str]
 ) -> str:
-    """Where the verdict changes: between which numbers of each constant, or for which of its values."""
+    """Where the verdict changes: between which tested numbers of each constant, or for which of its values."""
     parts = []
     for name in guilty:
-        found = [(a, b) for (a, x), (b, y) in pairwise(swept.get(name, ())) if x.keeps != y.keeps]
+        tested = [(number, one.state) for number, one in swept.get(name, ()) if one.state != UNTESTED]
+        found = [(a, b) for (a, x), (b, y) in pairwise(tested) if x != y]
         symbol, unit = CONSTANTS[name].symbol, CONSTANTS[name].unit
         between = " and ".join(f"between {a:g} and {b:g}" for a, b in found)
         parts.append(f"{symbol}: {between} ({unit})" if found else f"{symbol}: {_valued(outcomes, name)}")
@@ -224,12 +217,11 @@ def turns(
 
 
 def _valued(outcomes: Mapping[str, Outcome], name: str) -> str:
-    """Which values keep the claim, in the readings of this constant with the fewest others."""
+    """What each reading of this constant, and the centre, does to the claim."""
     texts = []
     for key, found in outcomes.items():
-        reading = readings.parsed(key)
-        if name in reading or key == CENTRE:
-            texts.append(f"{'kept' if found.keeps else 'not kept'} at {key}")
+        if key == CENTRE or name in readings.parsed(key):
+            texts.append(f"{found.state} at {key}")
     return ", ".join(texts)
 
 

@@ -3,7 +3,7 @@
 import base64
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -18,11 +18,11 @@ from ..report.page.traces import Panel, Trace
 from ..types import Array
 from ..version import __version__
 from . import draw, figure_data
+from .claims import DEPENDS, Claim
 from .draw import REAL
 from .json_values import jsonable
-from .judging import DEPENDS, Claim
 from .records import Readings, Trial
-from .table import EXPERIMENTS, TIMED
+from .table import EXPERIMENTS
 from .tables import claim_tables, counts, outcomes_table, plain_table, readings_table
 
 TITLE = "The paper's experiments, reproduced"
@@ -33,25 +33,13 @@ MOST = 8
 def write(
     out: Path, trials: Mapping[str, Sequence[Trial]], tried: Mapping[str, Readings], seeds: int, size: str
 ) -> tuple[Claim, ...]:
-    """Write index.html, claims.json, data and figures, the same bytes for the same figures; times go to cost.json."""
+    """Write index.html, claims.json, data and figures, the same bytes for the same figures."""
     claims = {name: EXPERIMENTS[name].claims(found, tried[name]) for name, found in trials.items()}
-    shown = {name: tuple(map(withheld, found)) if name in TIMED else found for name, found in claims.items()}
-    every = [claim for found in shown.values() for claim in found]
+    every = tuple(claim for found in claims.values() for claim in found)
     _save(out / "claims.json", _json([asdict(claim) for claim in every]))
-    timed = [name for name in trials if name in TIMED]
-    if timed:
-        _save(out / "cost.json", _json({name: [dict(t["figures"]) for t in trials[name]] for name in timed}))
-    figure_data.write(out, trials, every, TIMED)
-    _save(out / "index.html", html(trials, shown, seeds, size, out))
-    return tuple(claim for found in claims.values() for claim in found)
-
-
-def withheld(claim: Claim) -> Claim:
-    """A claim without its figures, which are times; only what was counted keeps them."""
-    nan = float("nan")
-    outcomes = {key: one if "counted" in key else replace(one, figures=(), median=nan, interval=(nan, nan))
-                for key, one in claim.outcomes.items()}  # fmt: skip
-    return replace(claim, outcomes=outcomes)
+    figure_data.write(out, trials, every)
+    _save(out / "index.html", html(trials, claims, seeds, size, out))
+    return every
 
 
 def html(
@@ -64,8 +52,9 @@ def html(
         f"<h1>{TITLE}</h1>",
         "<p>Lanillos &amp; Cheng, <i>Adaptive robot body learning and estimation through predictive coding</i> "
         "(IROS 2018), from simulated logs. A claim is a bound on a figure, with controls. A reading of what the paper "
-        "leaves open keeps it where nine of ten seeds do. A claim of the paper <b>holds in every reading</b>, "
-        "<b>depends on</b> some constants, <b>fails in every reading tried</b>, or is <b>not testable here</b>.</p>",
+        "leaves open does not test a claim where the model diverges or a control fails. It keeps a claim that nine of "
+        "ten seeds keep. A claim of the paper is <b>kept</b> or <b>refuted</b> by every reading that tests it, "
+        "<b>depends on</b> some constants, is <b>not tested</b> by any reading, or is <b>not testable here</b>.</p>",
         f'<p class="soft">{escape(command)} · bodylog {escape(__version__)} · images {escape(size)}</p>',
         f"<p>{len(every)} claims; of the paper's: {_counts(every)}.</p>",
         claim_tables(every),
@@ -108,10 +97,6 @@ def _trace(name: str, t: Array, y: Array, k: int) -> Trace:
 def _section(name: str, trials: Sequence[Trial], claims: Sequence[Claim], out: Path) -> str:
     experiment = EXPERIMENTS[name]
     parts = [f'<h2 id="{escape(name)}">{escape(name)}: {escape(experiment.title)}</h2>']
-    if name in TIMED:
-        path = _figure(out, f"{name}, measured", partial(draw.curves, trials))
-        kept = f"cost.json and drawn in figures/{path.name}, beside this page"
-        return "\n".join([*parts, f'<p class="soft">Times differ from run to run and are kept in {kept}.</p>'])
     parts += [plain_table(table) for table in experiment.tables(trials)]
     if trials[0]["panels"]:
         path = _figure(out, f"{name}, first seed", partial(draw.traces, trials[0]["panels"]))
@@ -155,7 +140,7 @@ def _figure(out: Path, title: str, make: Callable[[Path], None]) -> Path:
 
 
 def _json(value: Any) -> str:
-    """JSON, with null for numbers that are not finite."""
+    """JSON, as `jsonable` writes numbers that are not finite."""
     return json.dumps(jsonable(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
 
 

@@ -10,7 +10,8 @@ from ..sim.arms import ARMS
 from ..types import Array
 from .beliefs import ours
 from .cases import case, explored, signals
-from .judging import Bound, Claim, comparison
+from .claims import Bound, Claim
+from .judging import comparison
 from .lab import JOINTS, Lab
 from .printed import believed
 from .records import Experiment, Readings, Table, Trial, column

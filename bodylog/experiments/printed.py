@@ -1,21 +1,23 @@
-"""The paper's model in any reading: Algorithm 1 for many readings at once on the same log.
-
-It shares no code with `estimation/`, which runs one reading; a test holds the two to each other.
-"""
+"""The paper's model in any reading: Algorithm 1 (`estimation`'s) for many readings at once on the same log."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..estimation.methods.algorithm1 import Dynamics, SensedErrors, descend
+from ..estimation.methods.kalman import static
+from ..estimation.methods.paper_touch import spatial_coherence
 from ..types import Array
 
 DT = 0.05
 """s: the printed Δt."""
 LAMBDA = 1.0
 """The printed λ."""
-FAR = 100.0
-"""rad: a belief beyond this has diverged."""
+WIDEST_ANGLE_RAD = float(np.pi)
+"""The paper's joint angles are from −π to π: a belief beyond has diverged."""
+SIGMA_P = 1.0
+"""rad²: the printed σ_p."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +71,7 @@ class Touching:
 class Case:
     """One run: encoders used (M,) · vision's map, and whether it is used · unit of σ_v px · touch or None.
 
-    integration as in `readings` · start and prior (M,) rad · square: the encoders read x².
+    integration as in `readings` · start and prior (M,) rad · square: the encoders read x² · rate: λ, 1/s.
     """
 
     model: Map
@@ -82,6 +84,7 @@ class Case:
     touch: Touching | None = None
     square: bool = False
     sigma_v: float = 5.0
+    rate: float = LAMBDA
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,100 +97,79 @@ class Runs:
 
 def believed(signals: Signals, cases: Sequence[Case]) -> Runs:
     """Algorithm 1, its errata applied, for every case on one log."""
-    state = _State(signals, cases)
-    x, errors = [], []
+    senses = CaseSenses(signals, cases)
+    count, joints = len(signals.t), signals.encoders.shape[1]
+    x = np.full((len(cases), count, joints), np.nan)
+    errors = np.full((len(cases), count, joints + 2), np.nan)
+    start, prior = (np.array([getattr(one, name) for one in cases], float) for name in ("start", "prior"))
     with np.errstate(all="ignore"):  # diverging runs end as NaN
-        for k in range(len(signals.t)):
-            state.step(k)
-            x.append(state.x.copy())
-            errors.append(np.concatenate([state.ep, state.ev], axis=1))
-    return Runs(np.stack(x, axis=1), np.stack(errors, axis=1))
+        for k, step in enumerate(descend(start, prior, count, senses.at, _dynamics(cases, joints))):
+            x[:, k], errors[:, k] = step.x, step.errors[:, : joints + 2]
+    gone = np.maximum.accumulate(~(np.abs(x).max(axis=2) <= WIDEST_ANGLE_RAD), axis=1)
+    return Runs(np.where(gone[:, :, None], np.nan, x), errors)
 
 
-class _State:
-    """Beliefs of B cases, integrated together: x, μ, e_x, e_p (B,M), e_v (B,2), e_t (B,)."""
+def filter_encoders(signals: Signals, start: Array) -> Array:
+    """The paper's Kalman filter (`estimation`'s) on the encoders alone: beliefs (N,M) rad from `start` (M,) rad."""
+    return static(signals.encoders, start, SIGMA_P)[0]
+
+
+def _dynamics(cases: Sequence[Case], joints: int) -> Dynamics:
+    """σ_x = 1, as printed, and each case's λ and integration."""
+    return Dynamics(
+        DT,
+        np.ones((len(cases), joints)),
+        np.array([one.rate for one in cases]),
+        at_rest=np.array([one.integration != "printed" for one in cases]),
+        implicit=np.array([one.integration == "implicit" for one in cases]),
+    )
+
+
+class CaseSenses:
+    """What the senses of B cases say on one log: encoders (M), the effector's place in its unit (2), touch (1)."""
 
     def __init__(self, signals: Signals, cases: Sequence[Case]) -> None:
-        self.signals, self.cases = signals, cases
-        self.x, self.mu = (np.array([getattr(c, name) for c in cases], float) for name in ("start", "prior"))
-        self.ex, self.ep = np.zeros_like(self.x), np.zeros_like(self.x)
-        self.ev, self.et = np.zeros((len(cases), 2)), np.zeros(len(cases))
-        self.encoders = np.array([c.encoders for c in cases], bool)
-        self.seen, self.square = (np.array([getattr(c, n) for c in cases], bool)[:, None] for n in ("vision", "square"))
-        self.unit, self.sigma_v = (
-            np.array([getattr(c, n) for c in cases], float)[:, None] for n in ("unit", "sigma_v")
-        )
-        self.rest = np.array([c.integration != "printed" for c in cases])[:, None]
-        self.implicit = np.array([c.integration == "implicit" for c in cases])
-        models = [c.model for c in cases]
+        """Stack the cases' constants."""
+        self.signals = signals
+        self.encoders = np.array([one.encoders for one in cases], bool)
+        self.sees = np.array([one.vision for one in cases], bool)[:, None]
+        self.square = np.array([one.square for one in cases], bool)[:, None]
+        self.unit = np.array([one.unit for one in cases], float)[:, None]
+        models = [one.model for one in cases]
         self.samples, self.weights = np.array([m.x for m in models]), np.array([m.weights for m in models])
         self.scales, self.mean = np.array([m.scales for m in models])[:, None], np.array([m.mean for m in models])
-        touch = [c.touch or Touching(0.0, 0.0, 0.0, 1.0, "best") for c in cases]
-        self.feels = np.array([c.touch is not None for c in cases])
-        self.a, self.b1, self.b2, self.sigma_t = (
-            np.array([getattr(c, n) for c in touch]) for n in ("a", "b1", "b2", "sigma")
-        )
-        self.value = np.array([c.value for c in touch])
+        touch = [one.touch or Touching(0.0, 0.0, 0.0, 1.0, "best") for one in cases]
+        self.feels = np.array([one.touch is not None for one in cases])
+        self.a, self.b1, self.b2 = (np.array([getattr(one, name) for one in touch]) for name in ("a", "b1", "b2"))
+        self.value = np.array([one.value for one in touch])
+        sigma_v = np.array([one.sigma_v for one in cases])
+        sigma_t = np.array([one.sigma for one in touch])
+        self.sigma = np.column_stack([np.ones(self.encoders.shape), sigma_v, sigma_v, sigma_t])
 
-    def places(self) -> tuple[Array, Array]:
-        """g (B,2) px and its slope (B,2,M) px/rad at the beliefs."""
-        apart = (self.x[:, None] - self.samples) / self.scales
+    def places(self, x: Array) -> tuple[Array, Array]:
+        """g (B,2) px and its slope (B,2,M) px/rad at beliefs x (B,M)."""
+        apart = (x[:, None] - self.samples) / self.scales
         kernel = np.exp(-0.5 * (apart**2).sum(axis=2))[:, :, None] * self.weights
         return kernel.sum(axis=1) + self.mean, -np.einsum("bnd,bnm->bdm", kernel, apart / self.scales)
 
-    def step(self, k: int) -> None:
-        """One Euler step; the belief before it drives the errors, as in Algorithm 1."""
-        g, slope = self.places()
-        off_p, lean = self._encoders(k)
-        off_v = np.where(self.seen & np.isfinite(self.signals.place[k]), (self.signals.place[k] - g) / self.unit, 0.0)
-        there = off_v != 0.0
-        off_t, pull, felt = self._touch(k, g, slope)
-        rest_p, rest_v, rest_t = off_p, off_v / self.sigma_v, off_t / self.sigma_t
-        rest_x = self.x - self.mu
-        ex, ep = np.where(self.rest, rest_x, self.ex), np.where(self.rest, rest_p, self.ep * (off_p != 0.0))
-        ev, et = np.where(self.rest, rest_v, self.ev * there), np.where(self.rest[:, 0], rest_t, self.et * felt)
-        force = -ex + lean * ep + np.einsum("bdm,bd->bm", slope / self.unit[:, :, None], ev) + pull * et[:, None]
-        move = DT * force
-        if self.implicit.any():
-            move = np.where(
-                self.implicit[:, None],
-                self._implicit(force, lean * (off_p != 0.0), slope * there[:, :, None], pull),
-                move,
-            )
-        follow = np.where(
-            self.implicit[:, None], DT * LAMBDA / (1.0 + DT * LAMBDA) * (self.x + move - self.mu), DT * LAMBDA * ex
-        )
-        self.ex = ex + DT * (rest_x - ex)
-        self.ep, self.ev = ep + DT * (off_p - ep), ev + DT * (off_v - self.sigma_v * ev)
-        self.et = et + DT * felt * (off_t - self.sigma_t * et)
-        self.x, self.mu = self.x + move, self.mu + follow
-        self.x[~(np.abs(self.x).max(axis=1) < FAR)] = np.nan
-
-    def _encoders(self, k: int) -> tuple[Array, Array]:
-        """s_p − g_p (B,M), 0 where not used, and ∂g_p/∂x (B,M), which is diagonal."""
+    def at(self, k: int, x: Array) -> SensedErrors:
+        """The readings of instant k against beliefs x (B,M)."""
+        g, slope = self.places(x)
         read = self.signals.encoders[k]
-        off = read - np.where(self.square, self.x**2, self.x)
-        return np.where(self.encoders & np.isfinite(read), off, 0.0), np.where(self.square, 2.0 * self.x, 1.0)
+        encoders_off = np.where(self.encoders, read - np.where(self.square, x**2, x), np.nan)
+        encoders_slope = np.where(self.square, 2.0 * x, 1.0)[:, :, None] * np.eye(x.shape[1])
+        place_off = np.where(self.sees, (self.signals.place[k] - g) / self.unit, np.nan)
+        touch_off, touch_slope = self.touch(k, g, slope)
+        off = np.column_stack([encoders_off, place_off, touch_off])
+        slopes = np.concatenate([encoders_slope, slope / self.unit[:, :, None], touch_slope[:, None]], axis=1)
+        return SensedErrors(off, slopes, self.sigma)
 
-    def _touch(self, k: int, g: Array, slope: Array) -> tuple[Array, Array, Array]:
-        """s_t − g_t (B,), ∂g_t/∂x (B,M) and whether it is felt (B,)."""
+    def touch(self, k: int, g: Array, slope: Array) -> tuple[Array, Array]:
+        """s_t − g_t (B,), NaN where nothing is felt, and ∂g_t/∂x (B,M)."""
         hand, delay = self.signals.hand[k], self.signals.delay[k]
-        felt = self.feels & np.isfinite(hand).all() & np.isfinite(delay)
-        apart = np.where(felt[:, None], g - hand, 0.0)
-        best = self.a * np.exp(-self.b2 * (delay if np.isfinite(delay) else 0.0) ** 2)
-        g_t = best * np.exp(-self.b1 * (apart**2).sum(axis=1))
+        if not self.feels.any() or not np.isfinite(hand).all():
+            return np.full(len(g), np.nan), np.zeros((len(g), slope.shape[2]))
+        best = self.a * np.exp(-self.b2 * delay**2)
+        g_t, pull = spatial_coherence(g - hand, slope, best, self.b1)
         reading = np.select([self.value == "best", self.value == "peak"], [best, self.a], 1.0)
-        pull = -2.0 * (self.b1 * g_t)[:, None] * np.einsum("bd,bdm->bm", apart, slope)
-        return felt * (reading - g_t), felt[:, None] * pull, felt
-
-    def _implicit(self, force: Array, lean: Array, slope: Array, pull: Array) -> Array:
-        """(I + Δt H)⁻¹ Δt ∂F/∂x, H the Gauss–Newton Hessian (B,M,M)."""
-        eye = np.eye(self.x.shape[1])
-        noise = (self.sigma_v * self.unit**2)[:, :, None]
-        hessian = eye + eye * (lean**2)[:, :, None] + np.einsum("bdm,bdn->bmn", slope / noise, slope)
-        hessian = hessian + pull[:, :, None] * (pull / self.sigma_t[:, None])[:, None]
-        finite = np.isfinite(hessian).all(axis=(1, 2))
-        solved = np.linalg.solve(np.where(finite[:, None, None], eye + DT * hessian, eye), DT * force[:, :, None])[
-            ..., 0
-        ]
-        return np.where(finite[:, None], solved, np.nan)
+        return np.where(self.feels, reading - g_t, np.nan), pull

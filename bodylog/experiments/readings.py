@@ -53,7 +53,7 @@ CONSTANTS: dict[str, Constant] = {
         {"amplitude": 0.01, "noise": 1.02},
     ),
     "sigma_v": Constant(
-        "σ_v", "σ_v = [5, 5]", "Results, first paragraph",
+        "σ_v", "σ_v ∈ 𝒵² = [5, 5]: integers, a hint at pixels", "Results, first paragraph",
         {
             "standardised": "squared scatters of the learned outputs",
             "pixels": "px²",
@@ -76,6 +76,15 @@ CONSTANTS: dict[str, Constant] = {
             "implicit": "the same, with a linearly implicit step, stable at any Δt",
         },
         "as Algorithm 1 is printed",
+    ),
+    "lambda": Constant(
+        "λ", "μ̇_x = μ_x + λ e_x; learning rate λ = 1", "Algorithm 1; Eq. bodyestimation; Results, first paragraph",
+        {
+            "second": "μ̇ = λ e_x, integrated with Δt as all else: λ per second",
+            "step": "μ ← μ + λ e_x at every step of 0.05 s: λ per step",
+        },
+        "the equation is a rate, and Algorithm 1 multiplies every rate by Δt",
+        "per s", (0.1, 1.0, 5.0, 20.0), {"second": 1.0, "step": 20.0},
     ),
     "speed": Constant(
         "T", "random trajectories that resemble horizontal displacements", "Experimental setup, Learning g(x)",
@@ -101,10 +110,11 @@ CONSTANTS: dict[str, Constant] = {
     "o_v": Constant(
         "o_v", "it knows the relation between the touch signal and the location on the body", "Adding tactile feedback",
         {
-            "effector": "the hand less where the touched skin is seen beside the effector",
+            "touched": "the touched cell's place beside the effector is known: the hand at the effector, ± 0.3 px",
+            "stroke": "the hand as it strokes along the limb, less the mean place of all touched cells",
             "hand": "the hand as it is seen, some cm beside the effector",
         },
-        "the paper's own words; g_v is the effector's place, and the cells are on the limb",
+        "the paper's own words: the robot knows which cell is touched, and where it is on the limb",
     ),
     "s_t": Constant(
         "s_t", "s_t, tactile sensor value", "Eq. xwithtouch",

@@ -16,7 +16,8 @@ from ..io.temporary import scratch
 from ..score_names import split
 from ..settings import Settings
 from ..sources import CharucoSource
-from .judging import Bound, Claim, comparison
+from .claims import Bound, Claim
+from .judging import comparison
 from .lab import Lab
 from .records import Experiment, Readings, Table, Trial, column
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .judging import Claim, Figures, Swept
+from .claims import Claim
+from .judging import Figures, Swept
 from .readings import CENTRE, Reading, key, restricted
 
 if TYPE_CHECKING:

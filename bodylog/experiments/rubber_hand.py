@@ -15,14 +15,19 @@ from ..estimation.measurements.touch import has_weight
 from ..perception.touch.matching import match_touches as synchrony
 from ..types import Array, Features
 from .beliefs import Belief, noisier, ours
-from .drawn import px_per_cm
+from .claims import Bound, Claim
+from .drawn import SIZE, px_per_cm
 from .e5_rubber_hand import CALM, DISPLACEMENT, SIDES, final, stroked
-from .judging import Bound, Claim, own
+from .judging import own
 from .lab import Lab, ObservedLog
 from .records import Experiment, Readings, Table, Trial, column, panel
 
 NOISE = 0.1
 """rad: noise added to the encoders in the documented setting: some degrees, like human proprioception."""
+PRIOR = 0.5
+"""Prior probability of a common cause where it is inferred: both explanations are as likely."""
+FAR_CM = 30.0
+"""Displacement toward which people's illusion fades (Samad et al. 2015, figure 3)."""
 CURVE = 0.6
 """s: asynchrony at which the drift must be gone."""
 
@@ -32,7 +37,7 @@ class Setting:
     """Sweeps: asynchronies s · displacements as multiples of the recorded one · noises rad, around the documented."""
 
     asynchrony: tuple[float, ...] = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)
-    displacement: tuple[float, ...] = (0.25, 0.5, 1.0, 1.5)
+    displacement: tuple[float, ...] = (0.125, 0.25, 0.375, 0.5, 1.0, 1.5, 2.0, 3.0)
     noise: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.3)
 
 
@@ -76,9 +81,15 @@ def heeded(features: Features) -> bool:
     return any(has_weight(pair) for pair in features.synchrony)
 
 
-def drift(log: ObservedLog, body: BodyModel, alone: Belief) -> Drift:
-    """Touch's effect on the belief; `alone` is the belief without touch."""
-    touched = ours(log, body, ("encoders", "touch")) if heeded(log.features) else alone
+def drift(log: ObservedLog, body: BodyModel, alone: Belief, common_cause: float | None = None) -> Drift:
+    """Touch's effect on the belief; `alone` is the belief without touch.
+
+    common_cause: prior probability that touch and stroke have one cause; None takes it for granted.
+    """
+    sized = replace(log, features=replace(log.features, picture_size=SIZE))
+    touched = alone
+    if heeded(log.features):
+        touched = ours(sized, body, ("encoders", "touch"), common_cause=common_cause)
     model = body.senses["effector"]
     before = alone.at(touched.t)
     px = model.predict(touched.x)[0][:, 0] - model.predict(before)[0][:, 0]
@@ -99,21 +110,27 @@ def run(lab: Lab, seed: int, tried: Readings, setting: Setting = SETTING) -> Tri
         if side == "right":
             for share in setting.displacement:
                 figures |= _named(f"displacement {share:g} {side}", measured(NOISE, 0.0, share), sign, share)
+                inferred = measured(NOISE, 0.0, share, PRIOR)
+                figures |= _named(f"inferred displacement {share:g} {side}", inferred, sign, share)
             for noise in setting.noise:
                 figures |= _named(f"noise {noise:g} {side}", measured(noise, 0.0, 1.0), sign, 1.0)
-    return {"figures": figures | _curve(figures, setting), "panels": _panels(courses)}
+    figures |= _curve(figures, setting) | _faded(figures, setting)
+    return {"figures": figures, "panels": [*_panels(courses), _by_displacement(figures, setting)]}
 
 
-def _measuring(log: ObservedLog, body: BodyModel, sign: float, seed: int) -> Callable[[float, float, float], Drift]:
-    """drift(noise rad, delay s, share of the displacement); the belief without touch is found once per noise."""
+def _measuring(log: ObservedLog, body: BodyModel, sign: float, seed: int) -> Callable[..., Drift]:
+    """drift(noise rad, delay s, share of the displacement, prior of a common cause or None).
+
+    The belief without touch is found once per noise.
+    """
     alone: dict[float, tuple[ObservedLog, Belief]] = {}
 
-    def measured(noise: float, delay: float, share: float) -> Drift:
+    def measured(noise: float, delay: float, share: float, common_cause: float | None = None) -> Drift:
         if noise not in alone:
             poor = noisier(log, noise, seed)
             alone[noise] = poor, ours(poor, body, ("encoders",))
         poor, without = alone[noise]
-        return drift(displaced(poor, delay, share, sign), body, without)
+        return drift(displaced(poor, delay, share, sign), body, without, common_cause)
 
     return measured
 
@@ -141,6 +158,24 @@ def _curve(figures: dict[str, float], setting: Setting) -> dict[str, float]:
     }
 
 
+def _faded(figures: dict[str, float], setting: Setting) -> dict[str, float]:
+    """With the cause inferred: the largest drift at FAR_CM and beyond over the largest of all; none where none is."""
+    drifts = {share: abs(figures[f"inferred displacement {share:g} right cm"]) for share in setting.displacement}
+    far = [drift for share, drift in drifts.items() if share * DISPLACEMENT / px_per_cm() >= FAR_CM]
+    return {"faded": max(far) / max(drifts.values())} if far else {}
+
+
+def _by_displacement(figures: dict[str, float], setting: Setting) -> dict[str, Any]:
+    """Drift over displacement: a common cause taken for granted, and inferred."""
+    aside = [share * DISPLACEMENT / px_per_cm() for share in setting.displacement]
+    kinds = {"common cause taken for granted": "displacement", "common cause inferred": "inferred displacement"}
+    lines = {
+        label: [figures[f"{kind} {share:g} right cm"] for share in setting.displacement]
+        for label, kind in kinds.items()
+    }
+    return panel("drift by displacement, hand on the right", "cm", aside, lines, axis="cm aside")
+
+
 def _panels(courses: dict[str, Drift]) -> list[dict[str, Any]]:
     first = next(iter(courses.values()))
     late = {name: found.px for name, found in courses.items() if name.startswith("right")}
@@ -163,7 +198,17 @@ def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
             Bound("≤", 0.0), column(trials, "rise"), "means of both sides"),
         own("RH.4", "the drift's sign follows the side of the hand", "share of sides with that sign", "1",
             Bound("≥", 1.0), [float(v > 0.0) for v in column(trials, "in time")]),
+        *_claim_of_fading(trials),
     )  # fmt: skip
+
+
+def _claim_of_fading(trials: Sequence[Trial]) -> tuple[Claim, ...]:
+    """A claim where the hand was seen far enough aside."""
+    if "faded" not in trials[0]["figures"]:
+        return ()
+    text = f"with a common cause inferred (prior {PRIOR:g}) the drift fades toward {FAR_CM:g} cm aside"
+    measured = f"drift from {FAR_CM:g} cm on over the largest"
+    return (own("RH.5", text, measured, "1", Bound("≤", 0.1), column(trials, "faded")),)
 
 
 def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
@@ -171,12 +216,13 @@ def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
     units = {
         "asynchrony": "s late",
         "displacement": f"× {DISPLACEMENT / px_per_cm():.1f} cm aside",
+        "inferred displacement": f"× {DISPLACEMENT / px_per_cm():.1f} cm aside",
         "noise": "rad of noise",
     }
     tables = []
     for what, unit in units.items():
         names = [n for n in trials[0]["figures"] if n.startswith(f"{what} ") and n.endswith(" right")]
-        rows = tuple((f"{name.split()[1]} {unit}", *_cells(trials, name)) for name in names)
+        rows = tuple((f"{name.split()[-2]} {unit}", *_cells(trials, name)) for name in names)
         tables.append(Table(f"Drift toward a hand on the right by {what}, medians over the seeds", head, rows))
     return tuple(tables)
 

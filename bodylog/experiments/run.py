@@ -16,12 +16,12 @@ from ..io.temporary import remove_killed
 from ..runtime.workers import ended, ready, uninterrupted
 from ..sim import how_to_install
 from . import page, readings, real, rubber_hand
+from .claims import Claim
 from .drawn import SIZE
-from .judging import Claim
 from .lab import EXPLORATION_S, Lab, kept
 from .readings import Reading
 from .records import Readings, Trial
-from .table import ASKED, EXPERIMENTS, TIMED
+from .table import ASKED, EXPERIMENTS, UNSEEDED
 
 Task = tuple[str, int]
 """An experiment's name and a seed."""
@@ -70,8 +70,8 @@ class Reproduction:
         return self.lab.key(inputs)
 
     def seeds_of(self, name: str) -> range:
-        """The seeds of an experiment; measurements have one."""
-        return range(1 if name == "Real" else self.seeds)
+        """The seeds of an experiment; one that draws no number has one."""
+        return range(1 if name in UNSEEDED else self.seeds)
 
     @property
     def lab(self) -> Lab:
@@ -80,7 +80,7 @@ class Reproduction:
 
 
 def reproduce(wish: Reproduction, progress: Progress | None = None) -> tuple[Claim, ...]:
-    """Run missing trials, write index.html, claims.json and cost.json to `out`, return the claims."""
+    """Run missing trials, write index.html, claims.json, data and figures to `out`, return the claims."""
     names = chosen(wish.names)
     _ready(names, wish.data)
     tasks = [(name, seed) for name in names for seed in wish.seeds_of(name)]
@@ -130,14 +130,13 @@ def trial_path(wish: Reproduction, name: str, seed: int) -> Path:
 
 
 def _finished(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
-    """Tasks as they finish, those in the folder first; timed experiments run alone, at the end."""
+    """Tasks as they finish, those in the folder first."""
     there = [task for task in tasks if trial_path(wish, *task).exists()]
     yield from there
     left = [task for task in tasks if task not in there]
-    side_by_side = [task for task in left if task[0] not in TIMED] if wish.jobs > 1 else []
-    if len(side_by_side) > 1:
-        yield from _pooled(wish, side_by_side)
-        left = [task for task in left if task not in side_by_side]
+    if wish.jobs > 1 and len(left) > 1:
+        yield from _pooled(wish, left)
+        return
     for task in left:
         trial(wish, *task)
         yield task

@@ -34,5 +34,5 @@ EXPERIMENTS: dict[str, Experiment] = {
 ASKED = ("Real",)
 """Experiments that run only when they are named."""
 
-TIMED = ("E6",)
-"""Experiments that measure time: they run alone, and their figures differ from run to run."""
+UNSEEDED = ("E6", "Real")
+"""Experiments that draw no random number: they run once."""

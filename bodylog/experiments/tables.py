@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from html import escape
 
-from .judging import Claim, Outcome
+from .claims import DEPENDS, KEPT, REFUTED, UNTESTED, Claim, Outcome
 from .readings import CONSTANTS
 from .records import Table
 
@@ -15,6 +15,8 @@ KINDS = {
     "erratum": "Errata",
 }
 """A table each, in this order."""
+STATES = (KEPT, REFUTED, UNTESTED)
+"""What readings do to a claim: a column each."""
 
 
 def claim_tables(claims: Sequence[Claim]) -> str:
@@ -29,19 +31,19 @@ def claim_tables(claims: Sequence[Claim]) -> str:
 
 
 def _paper(title: str, claims: Sequence[Claim]) -> str:
-    head = ("", "claim", "measured", "must be", "readings that keep it", "at the first reading", "verdict")
-    rows = [(*_claim_cells(claim), _kept(claim), _first(claim), _verdict(claim)) for claim in claims]
+    head = ("", "claim", "measured", "must be", *STATES, "at the first reading", "verdict")
+    rows = [(*_claim_cells(claim), *_counts(claim), _first(claim), _verdict(claim)) for claim in claims]
     return _html(title, head, rows)
 
 
 def _own(title: str, claims: Sequence[Claim]) -> str:
-    head = ("", "claim", "measured", "must be", "ours", "verdict")
-    rows = [(*_claim_cells(claim), _first(claim), _verdict(claim)) for claim in claims]
+    head = ("", "claim", "measured", "must be", "ours", *STATES, "verdict")
+    rows = [(*_claim_cells(claim), _first(claim), *_counts(claim), _verdict(claim)) for claim in claims]
     return _html(title, head, rows)
 
 
 def _comparison(title: str, claims: Sequence[Claim]) -> str:
-    head = ("", "claim", "measured", "must be", "figures", "same", "different", "verdict")
+    head = ("", "claim", "measured", "must be", "figures", "same", "different", *STATES, "verdict")
     rows = [
         (
             escape(claim.id),
@@ -51,6 +53,7 @@ def _comparison(title: str, claims: Sequence[Claim]) -> str:
             _all(claim),
             escape(claim.shared),
             escape(claim.differences),
+            *_counts(claim),
             _verdict(claim),
         )
         for claim in claims
@@ -83,7 +86,7 @@ def outcomes_table(claim: Claim) -> str:
             (f"{CONSTANTS[name].symbol} = {number:g} ({escape(CONSTANTS[name].unit)})", *_cells(one))
             for number, one in swept
         ]
-    head = ("reading", "median", "95 % interval", "seeds that keep it", "controls hold in", "kept")
+    head = ("reading", "median", "95 % interval", "seeds that test it", "seeds that keep it", "", "why")
     return _html(f"{escape(claim.id)}: {escape(claim.measured)}, must be {escape(claim.bound)}", head, rows)
 
 
@@ -97,9 +100,10 @@ def _cells(one: Outcome) -> tuple[str, ...]:
     return (
         f"{one.median:.3g}",
         f"{low:.3g} to {high:.3g}",
-        f"{one.share:.0%}",
-        f"{one.control:.0%}",
-        "yes" if one.keeps else "no",
+        str(one.tested_seeds),
+        str(one.kept_seeds),
+        one.state,
+        escape(one.reason),
     )
 
 
@@ -116,11 +120,9 @@ def _measured(claim: Claim) -> str:
     return escape(claim.measured if claim.unit in ("1", "") else f"{claim.measured}, {claim.unit}")
 
 
-def _kept(claim: Claim) -> str:
-    if not claim.outcomes:
-        return ""
-    kept = sum(one.keeps for one in claim.outcomes.values())
-    return f"{kept} of {len(claim.outcomes)}"
+def _counts(claim: Claim) -> tuple[str, ...]:
+    """The three counts, in the order of STATES."""
+    return str(claim.counts.kept), str(claim.counts.refuted), str(claim.counts.untested)
 
 
 def _first(claim: Claim) -> str:
@@ -132,15 +134,13 @@ def _all(claim: Claim) -> str:
 
 
 def _figure(one: Outcome) -> str:
-    if not one.figures:
-        return "see cost.json"
     low, high = one.interval
     return f'{one.median:.3g} <span class="soft">({low:.3g} to {high:.3g})</span>'
 
 
 def _verdict(claim: Claim) -> str:
-    soft = f'<br><span class="soft">{escape(claim.turns)}</span>' if claim.turns else ""
-    return f"<b>{escape(claim.verdict)}</b>{soft}"
+    soft = [line for line in (claim.turns, *claim.reasons) if line]
+    return f"<b>{escape(claim.verdict)}</b>" + "".join(f'<br><span class="soft">{escape(line)}</span>' for line in soft)
 
 
 def _html(caption: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -157,6 +157,6 @@ def counts(claims: Sequence[Claim]) -> Mapping[str, int]:
     found: dict[str, int] = {}
     for claim in claims:
         if claim.kind == "paper":
-            verdict = "depends on a reading" if claim.verdict.startswith("depends") else claim.verdict
+            verdict = "depends on a reading" if claim.verdict.startswith(DEPENDS) else claim.verdict
             found[verdict] = found.get(verdict, 0) + 1
     return found

@@ -72,7 +72,7 @@ def test_explicit_steps_are_stable_just_below_the_named_step_and_not_above(world
     senses = tuple(replace(s, s=np.tile(s.predict(x[None])[0], (len(s.s), 1))) for s in plan.senses)
     stable = predictive_coding.stable_step(replace(plan, senses=senses))
     for factor, holds in ((0.95, True), (1.05, False)):
-        found = predictive_coding.explicitly(replace(plan, senses=senses, dt=factor * stable))[0]
+        found = predictive_coding.descended(replace(plan, senses=senses, dt=factor * stable), True)[0]
         assert bool(np.isfinite(found).all() and np.abs(found[-1] - x).max() < 0.01) is holds
 
 
@@ -108,7 +108,7 @@ def test_suggested_rate_is_stable_without_a_warning(world, seed, over, rate):
     typed = planned(float(re.search(r"type --rate (\S+) or --step implicit$", warned.text)[1]))
     assert not predictive_coding.step_warning(typed)
     first = tuple(replace(sense, s=sense.s[:1000], sigma=sense.sigma[:1000]) for sense in typed.senses)
-    found = predictive_coding.explicitly(replace(typed, t=typed.t[:1000], senses=first))[0]
+    found = predictive_coding.descended(replace(typed, t=typed.t[:1000], senses=first), True)[0]
     assert np.abs(found - drawn.truth.values[0]).max() < 0.5
 
 

@@ -3,20 +3,14 @@
 import re
 
 from bodylog.experiments import draw
-from bodylog.experiments.judging import Bound, paper
+from bodylog.experiments.claims import Bound
+from bodylog.experiments.judging import paper
 from bodylog.experiments.records import panel
 
 
 def words(path):
     """What the text of an SVG says: matplotlib keeps each text as a comment beside its outlines."""
     return set(re.findall(r"<!-- (.*?) -->", path.read_text(), re.S))
-
-
-def test_costs_are_lines_with_their_exponents(tmp_path):
-    costs = {"learn 400": 1e-3, "learn 800": 8e-3, "sparse step 100": 1e-5, "sparse step 200": 2e-5}
-    trial = {"figures": {**costs, "learn exponent": 3.0, "sparse step exponent": 1.0}}
-    draw.curves([trial] * 3, tmp_path / "c.svg")
-    assert {"learn: exponent 3.00", "sparse step: exponent 1.00"} <= words(tmp_path / "c.svg")
 
 
 def test_truth_is_dashed_and_every_panel_drawn(tmp_path):

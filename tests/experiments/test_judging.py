@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from bodylog.experiments.judging import Bound, Control, comparison, interval, own, paper, untestable, variants
+from bodylog.experiments.claims import Bound, Control, Counts
+from bodylog.experiments.judging import comparison, interval, own, paper, untestable, variants
 
 LOW, HIGH, NAN = (0.1,) * 10, (2.0,) * 10, (float("nan"),) * 10
 
@@ -33,12 +34,26 @@ def named(**by):
 
 
 def test_judged_gives_each_verdict():
-    assert judged(named(centre=LOW, sigma_n__noise=LOW)).verdict == "holds in every reading"
+    assert judged(named(centre=LOW, sigma_n__noise=LOW)).verdict == "kept"
     assert judged(named(centre=LOW, sigma_n__noise=HIGH, mu_x__zero=LOW)).verdict == "depends on σ_n"
-    three = named(centre=HIGH, sigma_n__noise=HIGH, mu_x__zero=NAN)
-    assert judged(three).verdict == "fails in every reading tried"
-    assert judged(named(centre=HIGH, sigma_n__noise=HIGH)).verdict == "fails, but in fewer than three readings"
+    assert judged(named(centre=HIGH, sigma_n__noise=HIGH, mu_x__zero=NAN)).verdict == "refuted"
+    assert judged(named(centre=NAN, sigma_n__noise=NAN)).verdict == "not tested"
     assert untestable("E0.1", "", "why").verdict == "not testable here"
+
+
+def test_a_reading_that_diverges_tests_no_claim():
+    claim = judged(named(centre=LOW, sigma_v__pixels=NAN, sigma_n__noise=LOW))
+    assert claim.verdict == "kept" and claim.counts == Counts(2, 0, 1)
+    assert claim.reasons == ("not tested at sigma_v=pixels: the model diverged, in 10 of 10 seeds",)
+    few = judged(named(centre=LOW[:9] + NAN[:1]))
+    assert few.counts == Counts(1, 0, 0), "nine of ten seeds test it"
+    assert judged(named(centre=LOW[:8] + NAN[:2])).counts == Counts(0, 0, 1)
+
+
+def test_infinity_refutes_and_does_not_diverge():
+    never = (float("inf"),) * 10
+    claim = judged(named(centre=never))
+    assert claim.verdict == "refuted" and claim.reasons == ("refuted at centre: inf, kept by 0 of 10 seeds",)
 
 
 def test_judged_names_all_constants_that_jointly_change_it():
@@ -62,12 +77,31 @@ def test_judged_gives_turning_points_only_of_decisive_sweeps():
     assert list(claim.sweeps) == ["speed"] and [number for number, _ in claim.sweeps["speed"]] == [4.0, 10.0, 30.0]
 
 
-def test_judged_drops_a_claim_whose_control_fails():
-    found = {("centre", "it"): LOW, ("centre", "moved"): HIGH}
-    kept = judged(found, controls=[Control("moved", "rad", Bound("≥", 1.0), "moved")])
-    assert kept.outcomes["centre"].keeps and kept.controls == ("moved: ≥ 1 rad",)
-    broken = judged({**found, ("centre", "moved"): LOW}, controls=[Control("moved", "rad", Bound("≥", 1.0), "moved")])
-    assert not broken.outcomes["centre"].keeps and broken.outcomes["centre"].control == 0.0
+def test_flipped_control_makes_a_kept_or_refuted_reading_not_tested():
+    control = Control("motion", "rad", Bound("≥", 1.0), "moved")
+    for figures, state in ((LOW, "kept"), (HIGH, "refuted")):
+        found = {("centre", "it"): figures, ("centre", "moved"): HIGH}
+        claim = judged(found, controls=[control])
+        assert claim.outcomes["centre"].state == claim.verdict == state
+        assert claim.controls == ("motion: ≥ 1 rad",)
+        flipped = judged({**found, ("centre", "moved"): LOW}, controls=[control])
+        assert flipped.outcomes["centre"].state == flipped.verdict == "not tested"
+        assert flipped.counts == Counts(0, 0, 1) and flipped.outcomes["centre"].tested_seeds == 0
+        assert flipped.reasons == ("not tested at centre: motion is 0.1 rad and must be ≥ 1, in 10 of 10 seeds",)
+
+
+def test_reading_not_tested_turns_no_verdict():
+    found = named(centre=LOW, speed__4=NAN, noise__1=HIGH) | {("speed=10", "it"): NAN, ("noise=3", "it"): HIGH}
+    swept = [("speed", 10.0, "speed=10"), ("noise", 3.0, "noise=3")]
+    claim = judged(found, swept)
+    assert claim.verdict == "depends on z_p" and list(claim.sweeps) == ["noise"]
+    assert claim.turns == "z_p: kept at centre, refuted at noise=1"
+
+
+def test_reasons_join_readings_of_one_reason():
+    claim = judged(named(centre=LOW, sigma_n__noise=HIGH, mu_x__zero=HIGH))
+    assert claim.reasons == ("refuted at sigma_n=noise; mu_x=zero: 2, kept by 0 of 10 seeds",)
+    assert str(claim.counts) == "kept in 1, refuted in 2, not tested in 0"
 
 
 @pytest.mark.parametrize(("wrong", "expected"), [(1, "holds"), (2, "does not hold")])
@@ -83,12 +117,13 @@ def test_own_claim_fails_for_a_diverged_belief():
 
 def test_comparison_is_decided_by_its_last_outcome():
     both = {"published": HIGH, "ours": LOW}
-    assert comparison("R.1", "", "", "px", Bound("≤", 1.0), both, "a", "b").verdict == "holds"
+    claim = comparison("R.1", "", "", "px", Bound("≤", 1.0), both, "a", "b")
+    assert claim.verdict == "holds" and claim.counts == Counts(1, 0, 0)
 
 
 def test_variants_depend_on_what_they_differ_in():
     claim = variants("E6.1", "", "", "1", Bound("≤", 1.0), {"dense": HIGH, "sparse": LOW}, "sparsity")
-    assert claim.verdict == "depends on sparsity" and claim.turns == "not kept: dense; kept: sparse"
+    assert claim.verdict == "depends on sparsity" and claim.turns == "refuted: dense; kept: sparse"
 
 
 def test_interval_covers_the_median():

@@ -20,7 +20,7 @@ SAYS = {
     "e4_refinement": r"'p\+v\+t': 0\.0",
     "e5_rubber_hand": r"^0 s late: 0\.[5-9]\d of the displacement\n(.*\n)*0\.4 s late: -?0\.00",
     "e6_cost": r"counted: 2\.0\d* 1\.0",
-    "from_the_page": r"E1\.3 is not kept at sigma_v=pixels",
+    "from_the_page": r"E1\.3 is refuted at sigma_v=pixels",
 }
 """What each prints when what it shows is so."""
 
@@ -54,4 +54,4 @@ def test_notebook_runs_in_a_kernel(tmp_path):
         notebook, timeout=120, kernel_name="python3", resources={"metadata": {"path": tmp_path}}
     ).execute()
     printed = [output.text for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
-    assert printed == ["E1.3 is not kept at sigma_v=pixels (90)\n"] and os.environ["BODYLOG_NOTEBOOKS"] == "small"
+    assert printed == ["E1.3 is refuted at sigma_v=pixels (90)\n"] and os.environ["BODYLOG_NOTEBOOKS"] == "small"

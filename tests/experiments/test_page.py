@@ -4,8 +4,9 @@ import csv
 import json
 import re
 
-from bodylog.experiments import page, tables
-from bodylog.experiments.judging import Bound, comparison, erratum, own, paper, variants
+from bodylog.experiments import tables
+from bodylog.experiments.claims import Bound
+from bodylog.experiments.judging import comparison, erratum, own, paper, variants
 from bodylog.experiments.readings import CONSTANTS
 
 
@@ -50,7 +51,7 @@ def test_page_has_tables_of_its_figures_numbers(small):
         found = {(row["reading"], row["figure"]) for row in csv.DictReader(file)}
     assert {("speed=4", "converged"), ("", "ours vision")} <= found
     with open(wish.out / "data" / "outcomes.csv", encoding="utf-8", newline="") as file:
-        assert {row["kept"] for row in csv.DictReader(file)} <= {"yes", "no"}
+        assert {row["state"] for row in csv.DictReader(file)} <= {"kept", "refuted", "not tested"}
 
 
 HOSTILE = "<script>alert(1)</script>"
@@ -67,9 +68,9 @@ def test_whatever_a_claim_says_stays_text():
     assert "<script" not in "".join(map(tables.outcomes_table, claims))
 
 
-def test_times_are_not_on_the_page_and_counts_are():
-    found = {"timed": [0.123456], "dense, counted": [2.0]}
-    claim = page.withheld(variants("E6.1", "text", "what", "1", Bound("≤", 1.0), found, "that"))
+def test_page_has_the_three_counts_and_the_reasons():
+    figures = {"centre": 0.0, "sigma_v=widths": 2.0, "sigma_v=pixels": float("nan")}
+    claim = paper("E0.1", "text", "what", "1", Bound("≤", 1.0), "it", lambda key, name: (figures[key],), list(figures))
     table = tables.claim_tables([claim])
-    assert "0.123" not in table and "see cost.json" in table and "depends on that" in table
-    assert claim.outcomes["dense, counted"].figures == (2.0,)
+    assert "<th>kept</th><th>refuted</th><th>not tested</th>" in table
+    assert "<td>1</td><td>1</td><td>1</td>" in table and "the model diverged, in 1 of 1 seeds" in table

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from bodylog.experiments import page
-from bodylog.experiments.judging import Bound, own
+from bodylog.experiments.claims import Bound
+from bodylog.experiments.judging import own
 from bodylog.experiments.records import Experiment, Readings, Table, panel
 from tests.report import browser
 from tests.report.test_html import HOSTILE

@@ -1,4 +1,4 @@
-"""The paper's model in any reading: it is `estimation`'s where both can be run, and its parts are what they say."""
+"""The paper's model in any reading: Algorithm 1 written out, `estimation`'s where both can be run, and its parts."""
 
 import numpy as np
 import pytest
@@ -9,9 +9,9 @@ from bodylog.body_model import TouchConstants
 from bodylog.estimation.methods import predictive_coding as algorithm
 from bodylog.estimation.methods.grid import Plan, Sense
 from bodylog.estimation.methods.paper_touch import Literal
-from bodylog.experiments.cases import Explored, case, placed
-from bodylog.experiments.printed import DT, Case, Map, Signals, Touching, _State, believed
-from bodylog.experiments.static import kalman
+from bodylog.experiments.cases import HAND_STD_PX, Explored, case, place_hand
+from bodylog.experiments.drawn import place as true_place
+from bodylog.experiments.printed import DT, Case, CaseSenses, Map, Signals, Touching, believed, filter_encoders
 
 WIDTH = 320.0
 STEPS = 80
@@ -46,7 +46,7 @@ def test_printed_model_equals_estimation(known, signals, integration):
     senses = (Sense("encoders", signals.encoders, None, np.ones((STEPS, 3)), printed=True),
               Sense("effector", signals.place / WIDTH, gp, np.full((STEPS, 2), 5.0), WIDTH, True))  # fmt: skip
     plan = Plan(senses, None, signals.t, DT, np.ones(3), start, np.zeros(3), start[None])
-    theirs = {"printed": algorithm.explicitly, "implicit": algorithm.implicitly}[integration](plan)[0]
+    theirs = algorithm.descended(plan, integration == "printed")[0]
     model = Map(gp.centres, gp.scales[0], gp.amplitude[0] * gp.weights.T, gp.mean, known.scatter)
     mine = believed(signals, [Case(model, (True,) * 3, True, WIDTH, integration, start, start)]).x[0]
     assert np.allclose(mine, theirs, atol=1e-9) and np.abs(np.diff(mine, axis=0)).max() > 1e-3
@@ -71,11 +71,11 @@ def test_slopes_are_differences_and_touch_pulls_as_printed(known, signals):
     felt = Signals(
         signals.t, signals.encoders, signals.place, np.tile(hand, (STEPS, 1)), np.full(STEPS, 0.05), signals.true
     )
-    state = _State(felt, [one])
-    g, slope = state.places()
+    senses = CaseSenses(felt, [one])
+    g, slope = senses.places(x)
     steps = 1e-6 * np.eye(3)
     assert np.allclose(slope[0], (one.model.at(x + steps) - one.model.at(x - steps)).T / 2e-6, atol=1e-3)
-    off, pull, _ = state._touch(0, g, slope)
+    off, pull = senses.touch(0, g, slope)
     weight = np.exp(-40.0 * 0.05**2)
     other = Literal(
         _Known(one.model, slope), TouchConstants(0.9, 0.004), np.array([True]), hand[None], np.array([weight])
@@ -123,10 +123,65 @@ def test_units_are_those_of_the_reading(known):
     assert np.array_equal(case(known, {"mu_x": "home"}, "p", start).prior, known.home)
 
 
-def test_placed_moves_the_hand_to_the_effector(signals):
+def test_hand_is_placed_by_the_reading_of_where_it_is_seen(signals):
     by, hand = np.array([3.0, -30.0]), np.ones((STEPS, 2))
+    hand[:20] = np.nan
     seen = Signals(signals.t, signals.encoders, signals.place, hand, signals.delay, signals.true)
-    assert np.array_equal(placed(seen, {}, by).hand, hand - by) and placed(seen, {"o_v": "hand"}, by) is seen
+    assert place_hand(seen, {"o_v": "hand"}, by, 0.0, 0) is seen
+    stroke = place_hand(seen, {"o_v": "stroke"}, by, 0.0, 0).hand
+    assert np.array_equal(stroke, hand - by, equal_nan=True)
+    touched = place_hand(seen, {}, by, 38.0, 0).hand
+    off = touched[20:] - true_place(signals.true[20:]) - [38.0, 0.0]
+    assert np.isnan(touched[:20]).all() and np.abs(off.mean(axis=0)).max() < 0.15
+    assert np.std(off) == pytest.approx(HAND_STD_PX, rel=0.3)
+
+
+@pytest.mark.parametrize("reading", [{}, {"lambda": "step"}, {"integration": "equilibrium"}, {"mu_x": "zero"}])
+def test_printed_model_is_algorithm_1_written_out(known, signals, reading):
+    """Encoders, vision and touch, one instant after another, as Algorithm 1 has them with its errata corrected."""
+    hand = np.where((np.arange(STEPS) % 3 > 0)[:, None], [200.0, 130.0], np.nan)
+    felt = Signals(signals.t, signals.encoders, signals.place, hand, np.full(STEPS, 0.05), signals.true)
+    one = case(known, reading, "p+v+t", np.array([0.1, -0.1, 0.05]))
+    mine = believed(felt, [one]).x[0]
+    assert np.allclose(mine, _written_out(felt, one), atol=1e-9) and np.abs(np.diff(mine, axis=0)).max() > 1e-3
+
+
+def _written_out(signals, one):
+    x, mu, e_x = one.start, one.prior, np.zeros(3)
+    errors = {"p": np.zeros(3), "v": np.zeros(2), "t": np.zeros(1)}
+    found = []
+    for k in range(len(signals.t)):
+        g = one.model.at(x[None])[0]
+        steps = 1e-6 * np.eye(3)
+        jac = (one.model.at(x + steps) - one.model.at(x - steps)).T / 2e-6
+        best = one.touch.a * np.exp(-one.touch.b2 * signals.delay[k] ** 2)
+        g_t = best * np.exp(-one.touch.b1 * np.sum((g - signals.hand[k]) ** 2))
+        senses = {
+            "p": (signals.encoders[k] - x, np.eye(3), 1.0),
+            "v": ((signals.place[k] - g) / one.unit, jac / one.unit, 5.0),
+            "t": (np.array([best - g_t]), -2 * one.touch.b1 * g_t * (g - signals.hand[k])[None] @ jac, one.touch.sigma),
+        }
+        prior_off = x - mu
+        rest = one.integration == "equilibrium"
+        e_now = prior_off if rest else e_x
+        dx = -e_now
+        for name, (off, slope, sigma) in senses.items():
+            here = np.isfinite(off)
+            errors[name] = np.where(here, errors[name], 0.0)
+            off, slope = np.where(here, off, 0.0), np.where(here[:, None], slope, 0.0)
+            dx = dx + slope.T @ (off / sigma if rest else errors[name])
+            errors[name] = errors[name] + DT * np.where(here, off - sigma * errors[name], 0.0)
+        e_x = e_x + DT * (prior_off - e_x)
+        x, mu = x + DT * dx, mu + DT * one.rate * e_now
+        found.append(x)
+    return np.array(found)
+
+
+def test_belief_beyond_the_widest_angle_has_diverged(known, signals):
+    """In px² one Euler step is unstable; the belief stays finite, and is no belief."""
+    found = believed(signals, [case(known, {"sigma_v": "pixels"}, "p+v", np.full(3, 0.1))]).x[0]
+    first = int(np.flatnonzero(np.isnan(found[:, 0]))[0])
+    assert np.isnan(found[first:]).all() and np.abs(found[:first]).max() <= np.pi
 
 
 def test_kalman_settles_at_its_static_gain():
@@ -134,5 +189,5 @@ def test_kalman_settles_at_its_static_gain():
     t = np.zeros(400)
     gaps = [np.full((400, n), np.nan) for n in (2, 2)]
     log = Signals(t, np.r_[np.zeros((399, 1)), [[1.0]]], gaps[0], gaps[1], t, np.zeros((400, 1)))
-    k = kalman(log, np.zeros(1))[-1, 0]
+    k = filter_encoders(log, np.zeros(1))[-1, 0]
     assert k**2 / (1 - k) == pytest.approx(0.001, rel=0.01)

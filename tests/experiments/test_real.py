@@ -6,7 +6,7 @@ import pytest
 
 from bodylog.errors import UsageError
 from bodylog.experiments import Reproduction, reproduce
-from bodylog.experiments.judging import OWN_HOLDS
+from bodylog.experiments.claims import OWN_HOLDS
 from bodylog.experiments.real import EXPERIMENT, ROBOTS, complete, fingerprint, nao
 from bodylog.experiments.records import Readings
 

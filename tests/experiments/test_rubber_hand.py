@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bodylog.experiments import Setting, rubber_hand
-from bodylog.experiments.judging import OWN_HOLDS
+from bodylog.experiments.claims import OWN_HOLDS
 from bodylog.experiments.lab import Lab, ObservedLog
 from bodylog.experiments.records import Readings
 from bodylog.types import Features, Series, Stroke, Touch
@@ -29,7 +29,7 @@ def test_displaced_delays_and_shifts_the_hand_and_recomputes_synchrony():
 def test_rubber_hand_drifts_with_synchronous_touch_only(tmp_path):
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     lab = Lab(tmp_path, (320, 240), 12.0)
-    setting = Setting((0.0, 0.15, 0.6), (0.5,), (0.02, 0.3))
+    setting = Setting((0.0, 0.15, 0.6), (0.5, 2.0), (0.02, 0.3))
     trial = rubber_hand.run(lab, 0, Readings(({},)), setting)
     figures = trial["figures"]
     assert figures["in time"] >= 0.15 and figures["late"] <= 0.02 and figures["rise"] < 0.0
@@ -37,5 +37,7 @@ def test_rubber_hand_drifts_with_synchronous_touch_only(tmp_path):
     assert figures["displacement 0.5 right px"] == pytest.approx(0.5 * figures["asynchrony 0 right px"], rel=0.2)
     assert figures["asynchrony 0 right cm"] == pytest.approx(figures["asynchrony 0 right px"] / 2.4, rel=0.05)
     claims = rubber_hand.EXPERIMENT.claims([trial], Readings(({},)))
-    assert [claim.verdict for claim in claims] == [OWN_HOLDS] * 4
-    assert len(rubber_hand.EXPERIMENT.tables([trial])) == 3
+    assert [claim.verdict for claim in claims] == [OWN_HOLDS] * 5
+    assert len(rubber_hand.EXPERIMENT.tables([trial])) == 4
+    assert figures["inferred displacement 0.5 right"] > 0.9 * figures["displacement 0.5 right"]
+    assert abs(figures["inferred displacement 2 right"]) < 0.1 * figures["displacement 2 right"]

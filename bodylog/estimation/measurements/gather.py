@@ -36,24 +36,24 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
 def sound(evidence: Evidence, features: Features, body: BodyModel, settings: Estimation) -> Evidence:
     """Keep the senses with measurements; EvidenceError where a named one, or every one, has none."""
     used, encoders = evidence.used, evidence.encoders
-    late = "touch" in used and "not synchronous" in used["touch"].rejected
+    apart = [text for reason, text in touch.APART.items() if "touch" in used and reason in used["touch"].rejected]
     read = set(features.joints.names if features.joints is not None else ())
     members = {name: {"encoders"} for name in read.difference(silent(body.joints, encoders))}
     members["vision"] = used.keys() - {"encoders", "touch"}
     for name in settings.senses or ():
         kept = any(used[member].used for member in members.get(name, {name}) if member in used)
-        if not kept and not (name == "touch" and late):
+        if not kept and not (name == "touch" and apart):
             raise EvidenceError(
                 f"{name}: requested, but without measurements ({_counts(used)}; tracks: "
                 f"{', '.join(features.tracks) or 'none'}); leave it out of the senses, or name its topic"
             )
-    # touches out of time are a result: they stay, with their small weights
+    # touches out of time or of place are a result: they stay, with their small weights
     sightings = tuple(s for s in evidence.sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
     if not sightings and (encoders is None or not np.isfinite(encoders.values).any()):
         raise EvidenceError(f"no sense has measurements: {_counts(used)}; give a log with joints or an effector")
     unused = {name for name, one in used.items() if one.seen and not one.used and name not in (settings.senses or ())}
     unused -= set() if read & chosen((), body, settings) else {"encoders"}
-    outcome = {"touch": "not synchronous with the images"} if late else {}
+    outcome = {"touch": " or ".join(apart)} if apart else {}
     texts = (f"{n}: nothing usable ({_words(used[n])}), {outcome.get(n, 'left out')}" for n in used if n in unused)
     findings = tuple(Finding("warning", text) for text in texts)
     return replace(evidence, sightings=sightings, findings=(*evidence.findings, *findings))

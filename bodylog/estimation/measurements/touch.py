@@ -12,6 +12,12 @@ from .long_arrays import seen as rows_seen
 from .records import Sighting
 from .track import ascending
 
+APART = {
+    "not synchronous": "not synchronous with the images",
+    "no common cause": "seen elsewhere than it is felt",
+}
+"""Why a touch has hardly any weight although it is paired with a stroke, and the same for a warning."""
+
 
 def read(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     """Read the effector's positions by touch, where the body predicts the effector."""
@@ -19,7 +25,9 @@ def read(features: Features, body: BodyModel) -> Mapping[str, Measured]:
         return {}
     (found, count), seen = sightings(features, body), len(features.touches or ())
     paired = sum(bool(np.isfinite(pair.delay)) and not synchronous(pair) for pair in features.synchrony)
-    reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
+    apart = sum(synchronous(pair) and not has_common_cause(pair) for pair in features.synchrony)
+    reasons = {"not synchronous": min(paired, seen - count), "no common cause": min(apart, seen - count)}
+    reasons["no stroke seen"] = max(seen - count - paired - apart, 0)
     return {"touch": Measured(found, health(seen, count, reasons))}
 
 
@@ -38,10 +46,10 @@ def sightings(features: Features, body: BodyModel) -> tuple[Sighting, int]:
     for number, pair in enumerate(features.synchrony):
         during = sound & (pairs == number)
         if has_weight(pair) and during.any():
-            u, v, spread = _place(body, touches[pair.touch].strongest)
+            u, v, spread = place_of_cell(body, touches[pair.touch].strongest)
             places[during] = hand.values[during] - (u, v)
-            variance[during] = spread / pair.weight * during.sum()
-            count += synchronous(pair)
+            variance[during] = spread / pair.event_weight * during.sum()
+            count += synchronous(pair) and has_common_cause(pair)
     kept = rows_seen(places)
     found = (hand.t[kept], places[kept], variance[kept], hand.source_ns[kept])
     return Sighting("touch", body.senses["effector"], *found), count
@@ -54,10 +62,15 @@ def synchronous(pair: Synchrony) -> bool:
 
 def has_weight(pair: Synchrony) -> bool:
     """Whether a touch has a weight; so small a one that its variance swamps all others counts as none."""
-    return pair.weight > 1e-9
+    return pair.event_weight > 1e-9
 
 
-def _place(body: BodyModel, cell: int) -> tuple[float, float, float]:
+def has_common_cause(pair: Synchrony) -> bool:
+    """Whether touch and stroke are more likely one event at one place than two."""
+    return pair.common_cause >= 0.5
+
+
+def place_of_cell(body: BodyModel, cell: int) -> tuple[float, float, float]:
     """A cell's position relative to the effector (u, v) px, and its variance px²."""
     if cell not in body.cells:
         return 0.0, 0.0, 1.0 / (2.0 * body.touch.b1)
@@ -70,6 +83,6 @@ def strongest(features: Features, t: Array) -> tuple[Array, Array]:
     weight, number, touches = np.zeros(len(t)), np.full(len(t), -1), features.touches or ()
     for k, pair in enumerate(features.synchrony if touches else ()):
         touch = touches[pair.touch]
-        more = (t >= touch.onset) & (t <= touch.offset) & (pair.weight > weight)
-        weight[more], number[more] = pair.weight, k
+        more = (t >= touch.onset) & (t <= touch.offset) & (pair.event_weight > weight)
+        weight[more], number[more] = pair.event_weight, k
     return weight, number

@@ -20,13 +20,22 @@ class Literal:
     temporal: Array
 
     def pull(self, k: int, x: Array) -> tuple[float, Array]:
-        """Error e_t = (s_t − g_t)/σ_t, s_t being g_t's best value and σ_t, not printed, 1; ∂g_t/∂x (M,) at step k."""
+        """s_t − g_t, s_t being g_t's best value, NaN where nothing is felt; and ∂g_t/∂x (M,) at step k and x (M,)."""
+        if not self.active[k]:
+            return float("nan"), np.zeros(len(x))
         mean, jac, _ = self.model.predict(x[None])
-        apart = mean[0] - self.hand[k]
-        best = self.constants.a1 * self.temporal[k]
-        g = best * np.exp(-self.constants.b1 * float(apart @ apart))
-        # ∂g_t/∂x = −2 b₁ g_t (g_v − o_v)ᵀ J
-        return float(best - g), -2.0 * self.constants.b1 * g * (apart @ jac[0])
+        best = np.array([self.constants.a1 * self.temporal[k]])
+        g, slope = spatial_coherence(mean - self.hand[k], jac, best, np.array([self.constants.b1]))
+        return float(best[0] - g[0]), slope[0]
+
+
+def spatial_coherence(apart: Array, jac: Array, best: Array, b1: Array) -> tuple[Array, Array]:
+    """g_t = best exp(−b₁ |g_v − o_v|²) (B,), best being a₁ f_t, and ∂g_t/∂x = −2 b₁ g_t (g_v − o_v)ᵀ J (B,M).
+
+    apart (B,2): g_v − o_v · jac (B,2,M): J.
+    """
+    g = best * np.exp(-b1 * (apart**2).sum(axis=1))
+    return g, -2.0 * (b1 * g)[:, None] * np.einsum("bd,bdm->bm", apart, jac)
 
 
 def literal(features: Features, body: BodyModel, t: Array, dt: float) -> Literal:

@@ -1,10 +1,7 @@
-"""The paper's Algorithm 1 with its errata (docs/paper.md) corrected: free-energy descent, one Euler step per instant.
-
-The explicit step integrates belief, errors and prior as printed; the linearly implicit one sets the errors to their
-equilibrium and divides by I + Δt·H, H the Gauss–Newton Hessian, which is stable at any Δt.
-"""
+"""The paper's Algorithm 1 (`algorithm1`) on a log: one Euler step per instant, explicit as printed or implicit."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -15,21 +12,22 @@ from ...types import Array, Estimate, Features, Finding
 from ..measurements.gather import silent
 from ..measurements.records import Evidence
 from . import results
+from .algorithm1 import DIVERGENCE_RAD, Dynamics, SensedErrors, descend, gauss_newton_hessian
 from .grid import GAINS, Plan, at_instants, plan_for
 
-FAR = 100.0
-"""rad: a belief beyond this has diverged."""
+SIGMA_T = 1.0
+"""σ_t, which is not printed: as σ_x and σ_p."""
 
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """The belief on a grid of 20 Hz or `rate`; UsageError when an explicit step diverges."""
     plan, evidence, line = plan_for(features, body, settings)
     explicit = settings.step == "explicit" or settings.preset == "paper"
-    x, cov, nats = (explicitly if explicit else implicitly)(plan)
+    x, cov, nats = descended(plan, explicit)
     findings = step_warning(plan) if explicit else ()
     if not np.isfinite(x).all():
         why = findings[0].text if findings else "step: explicit; type --step implicit"
-        raise UsageError(f"{why} (the belief left {FAR:g} rad)")
+        raise UsageError(f"{why} (the belief left {DIVERGENCE_RAD:g} rad)")
     findings = (*findings, *_without_encoders(plan, evidence, body.joints))
     steps = {"step": "explicit" if explicit else "implicit", "dt": plan.dt, "sigma_x": plan.sigma_x.tolist()}
     used = steps | {f"sigma_{s.name}": np.median(s.sigma, axis=0).tolist() for s in plan.senses}
@@ -38,60 +36,33 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     return results.estimate("predictive-coding", body, evidence, line, beliefs)
 
 
-def implicitly(plan: Plan) -> tuple[Array, Array, Array]:
-    """x (N,M), covariance (N,M,M) as inverse Hessian, free energy (N,) nats; errors at their equilibrium."""
+def descended(plan: Plan, explicit: bool) -> tuple[Array, Array, Array]:
+    """x (N,M), NaN once diverged, covariance (N,M,M) as inverse Hessian, and free energy (N,) nats before each step."""
     m, n = len(plan.start), len(plan.t)
-    x, mu, eye = plan.start.copy(), plan.start.copy(), np.eye(len(plan.start))
-    xs, cov, nats = np.empty((n, m)), np.empty((n, m, m)), np.empty(n)
-    follow = plan.dt * plan.learning / (plan.sigma_x + plan.dt * plan.learning)
-    for k in range(n):
-        force, hessian, nats[k] = descent(plan, k, x, mu, plan.predict(x))
-        x = x + np.linalg.solve(eye + plan.dt * hessian, plan.dt * force)
-        mu = mu + follow * (x - mu)
-        xs[k], cov[k] = x, np.linalg.inv(hessian)
+    xs, cov, nats = np.full((n, m), np.nan), np.full((n, m, m), np.nan), np.full(n, np.nan)
+    kind = np.array([not explicit])
+    dynamics = Dynamics(plan.dt, plan.sigma_x[None], np.array([plan.learning]), at_rest=kind, implicit=kind)
+    start = plan.start[None]
+    for k, step in enumerate(descend(start, start, n, partial(_sensed, plan), dynamics)):
+        present = step.sensed.present()
+        here = np.isfinite(step.sensed.off[0])
+        xs[k] = step.x[0]
+        cov[k] = np.linalg.inv(gauss_newton_hessian(present, dynamics.sigma_x, np.array([0]))[0])
+        # the prior is one more sense, which reads μ
+        off = np.append(step.prior_off[0], step.sensed.off[0, here])
+        sigma = np.append(plan.sigma_x, step.sensed.sigma[0, here])
+        nats[k] = 0.5 * float((off * off / sigma + np.log(2 * np.pi * sigma)).sum())
     return xs, cov, nats
 
 
-def descent(
-    plan: Plan, k: int, x: Array, mu: Array, predicted: tuple[Array, Array, Array]
-) -> tuple[Array, Array, float]:
-    """Force ∂F/∂x (M,), its Gauss–Newton Hessian (M,M) and the free energy at step k, errors at equilibrium.
-
-    predicted: what the plan predicts at x.
-    """
-    (g, jac, own), (s, sigma) = predicted, (part[k] for part in plan.rows)
-    here = np.isfinite(s)
-    # the prior is one more sense, which reads μ
-    e, var = np.append(mu - x, (s - g)[here]), np.append(plan.sigma_x, (sigma + own)[here])
-    slope = np.vstack([np.eye(len(x)), jac[here]])
-    force, hessian = slope.T @ (e / var), slope.T @ (slope / var[:, None])
-    if plan.touch is not None and plan.touch.active[k]:
-        pull, lean = plan.touch.pull(k, x)
-        force, hessian = force + lean * pull, hessian + np.outer(lean, lean)
-    return force, hessian, 0.5 * float((e * e / var + np.log(2 * np.pi * var)).sum())
-
-
-def explicitly(plan: Plan) -> tuple[Array, Array, Array]:
-    """As `implicitly`, by Algorithm 1: belief, errors and prior integrated together, one Euler step per instant."""
-    m, n, (s, sigma) = len(plan.start), len(plan.t), plan.rows
-    x, mu, ex, errors = plan.start.copy(), plan.start.copy(), np.zeros(len(plan.start)), np.zeros(s.shape[1])
-    xs, cov, nats = np.full((n, m), np.nan), np.empty((n, m, m)), np.empty(n)
-    for k in range(n):
-        g, jac, own = plan.predict(x)
-        _, hessian, nats[k] = descent(plan, k, x, mu, (g, jac, own))
-        here = np.isfinite(s[k])
-        errors = np.where(here, errors, 0.0)  # absent senses contribute nothing
-        dx, de = jac.T @ errors - ex, np.where(here, s[k] - g - (sigma[k] + own) * errors, 0.0)
-        if plan.touch is not None and plan.touch.active[k]:
-            pull, lean = plan.touch.pull(k, x)
-            dx = dx + lean * pull
-        # corrected (docs/paper.md, Errata): ė_x = x̂ − μ − σ_x e_x, and μ̇ = λ e_x
-        dex, dmu = x - mu - plan.sigma_x * ex, plan.learning * ex
-        x, ex, mu, errors = (old + plan.dt * rate for old, rate in ((x, dx), (ex, dex), (mu, dmu), (errors, de)))
-        if not np.abs(x).max() < FAR:
-            break
-        xs[k], cov[k] = x, np.linalg.inv(hessian)
-    return xs, cov, nats
+def _sensed(plan: Plan, k: int, x: Array) -> SensedErrors:
+    """What the plan's senses say at instant k about one belief (1,M)."""
+    (g, jac, own), (s, sigma) = plan.predict(x[0]), (part[k] for part in plan.rows)
+    off, variance = s - g, sigma + own
+    if plan.touch is not None:
+        felt, slope = plan.touch.pull(k, x[0])
+        off, variance, jac = np.append(off, felt), np.append(variance, SIGMA_T), np.vstack([jac, slope])
+    return SensedErrors(off[None], jac[None], variance[None])
 
 
 def step_warning(plan: Plan) -> tuple[Finding, ...]:

@@ -49,6 +49,8 @@ def ignored_settings(settings: Estimation) -> tuple[Finding, ...]:
     heeds, paper = METHODS[settings.method].heeds, settings.preset == "paper"
     asked = {"bias": "on", "precision": "model"}.items()
     set_to = {name: value for name, value in asked if getattr(settings, name) == value and (paper or name not in heeds)}
+    if settings.common_cause is not None and "touch" not in METHODS[settings.method].senses:
+        set_to["common_cause"] = str(settings.common_cause)
     ignored = {**set_to, **{key: value for key, value in settings.typed.items() if key not in heeds}}
     by = f"{settings.method}{' with the preset paper' * paper}"
     return tuple(

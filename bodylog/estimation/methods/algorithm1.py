@@ -1,0 +1,105 @@
+"""The paper's Algorithm 1 with its errata (docs/paper.md) corrected, for any senses and many runs at once.
+
+An explicit step integrates belief, errors and prior as printed. A step at equilibrium sets the errors to what they tend
+to, (s − g)/σ. A linearly implicit one also divides by I + Δt·H, H the Gauss–Newton Hessian, which is stable at any Δt.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array
+
+DIVERGENCE_RAD = 100.0
+"""A belief beyond this has diverged."""
+
+
+@dataclass(frozen=True, eq=False)
+class SensedErrors:
+    """What R readings say about B beliefs at an instant: s − g (B,R), NaN where absent · ∂g/∂x̂ (B,R,M) · σ (B,R)."""
+
+    off: Array
+    slope: Array
+    sigma: Array
+
+    def present(self) -> "SensedErrors":
+        """The same with absent readings as rows of zeros, which contribute nothing."""
+        here = np.isfinite(self.off)
+        return SensedErrors(
+            np.where(here, self.off, 0.0), np.where(here[..., None], self.slope, 0.0), np.where(here, self.sigma, 1.0)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """Constants of B runs: Δt s · σ_x (B,M) · λ (B,) 1/s · who has errors at rest, and implicit steps (B,)."""
+
+    dt: float
+    sigma_x: Array
+    rate: Array
+    at_rest: Array
+    implicit: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One step of B runs: x̂ after it (B,M), NaN once diverged · errors e_i after it (B,R).
+
+    before it: x̂ − μ (B,M), and what the senses said.
+    """
+
+    x: Array
+    errors: Array
+    prior_off: Array
+    sensed: SensedErrors
+
+
+def descend(
+    start: Array, prior: Array, count: int, sense: Callable[[int, Array], SensedErrors], dynamics: Dynamics
+) -> Iterator[Step]:
+    """`count` steps of B runs from beliefs `start` and prior beliefs (B,M) rad; fewer when all runs have diverged.
+
+    sense(k, x): what the senses say at instant k about beliefs x (B,M).
+    """
+    x, mu, prior_error, errors = start, prior, np.zeros(start.shape), np.zeros(0)
+    at_rest, rate, implicit = dynamics.at_rest[:, None], dynamics.rate[:, None], np.flatnonzero(dynamics.implicit)
+    for k in range(count):
+        sensed = sense(k, x)
+        here, present = np.isfinite(sensed.off), sensed.present()
+        errors = np.where(here, errors, 0.0) if k else np.zeros(here.shape)
+        prior_off = x - mu
+        error = np.where(at_rest, present.off / present.sigma, errors)
+        error_x = np.where(at_rest, prior_off / dynamics.sigma_x, prior_error)
+        move = dynamics.dt * (np.einsum("brm,br->bm", present.slope, error) - error_x)
+        # corrected: μ̇ = λ e_x, and ė_x = x̂ − μ − σ_x e_x
+        prior_move = dynamics.dt * rate * error_x
+        if len(implicit):
+            hessian = gauss_newton_hessian(present, dynamics.sigma_x, implicit)
+            move[implicit] = _divide_by_hessian(hessian, move[implicit], dynamics.dt)
+            reach = dynamics.dt * rate[implicit]
+            ahead = prior_off[implicit] + move[implicit]
+            prior_move[implicit] = reach / (dynamics.sigma_x[implicit] + reach) * ahead
+        prior_error = error_x + dynamics.dt * (prior_off - dynamics.sigma_x * error_x)
+        errors = error + dynamics.dt * np.where(here, present.off - present.sigma * error, 0.0)
+        x, mu = x + move, mu + prior_move
+        x = np.where((np.abs(x).max(axis=1) < DIVERGENCE_RAD)[:, None], x, np.nan)
+        yield Step(x, errors, prior_off, sensed)
+        if not np.isfinite(x).any():
+            return
+
+
+def gauss_newton_hessian(present: SensedErrors, sigma_x: Array, runs: Array) -> Array:
+    """H = 1/σ_x + Σ g′ᵀ g′/σ (K,M,M) of the free energy of `runs` (K,)."""
+    slope, sigma = present.slope[runs], present.sigma[runs]
+    prior = np.eye(slope.shape[2]) / sigma_x[runs][:, :, None]
+    return np.asarray(prior + np.einsum("brm,brn->bmn", slope / sigma[..., None], slope))
+
+
+def _divide_by_hessian(hessian: Array, move: Array, dt: float) -> Array:
+    """(I + Δt H)⁻¹ of moves (K,M), NaN where H (K,M,M) is not finite."""
+    eye = np.eye(move.shape[1])
+    finite = np.asarray(np.isfinite(hessian).all(axis=(1, 2)))
+    system = np.where(finite[:, None, None], eye + dt * hessian, eye)
+    solved = np.linalg.solve(system, move[:, :, None])[..., 0]
+    return np.where(finite[:, None], solved, np.nan)
