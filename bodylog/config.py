@@ -7,6 +7,7 @@ from typing import Any
 
 from .errors import ConfigError
 from .io import toml_file
+from .io.text_paths import with_text_paths
 from .io.toml_file import shown
 from .io.toml_keys import checked, declared, default_text, possible, require_known, toml_key, toml_value
 from .settings import Estimation, Settings
@@ -16,7 +17,8 @@ RENAMED: Mapping[tuple[str, str], str] = {("colours", "shapes"): "[colours] mark
 """Keys that had another name, and what to type."""
 
 
-def load(path: Path | None, overrides: Mapping[str, Mapping[str, Any]] | None = None) -> Settings:
+@with_text_paths
+def load(path: Path | None = None, overrides: Mapping[str, Mapping[str, Any]] | None = None) -> Settings:
     """Settings from a robot.toml (None: defaults), then {section: {key: value}} overrides; ConfigError if unsound."""
     settings = Settings()
     if path is not None:

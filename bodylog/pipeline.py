@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from . import change_findings, default_features, effector_poses, verdict
+from . import change_findings, default_features, effector_poses, learned_tests, verdict
 from .body_model import BodyModel
 from .checks import (
     distinct,
@@ -22,18 +22,23 @@ from .errors import UsageError
 from .fault_findings import fault_warnings, sighting_findings, truth_findings
 from .io.atomic_files import sha256
 from .io.outputs import Output
+from .io.temporary import scratch
+from .io.text_paths import with_text_paths
 from .joints_only import joints_alone, without_body
 from .logs.limits import LIMITS
 from .logs.protocol import Progress
 from .observed import completed, moving, still_poses
+from .result import NO_SCORES, Scores, estimate_result
 from .result import Result as Result
-from .result import estimate_result
 from .scoring import against, score_estimate, with_true_poses
 from .settings import Settings, plain
-from .types import Estimate, Features, Finding, FrameConsumer, Health, Recording, Score
+from .types import Estimate, Features, Finding, FrameConsumer, Recording
 from .written_messages import estimate_messages, feature_messages, provenance, topic_of
 
+DEFAULTS = Settings()
 
+
+@with_text_paths
 def record(scenario: str, out: Path, **options: Any) -> Result:
     """Simulate a scenario into an ordinary log; UsageError names the scenarios and options possible."""
     from . import sim
@@ -42,8 +47,9 @@ def record(scenario: str, out: Path, **options: Any) -> Result:
     return Result(out)
 
 
+@with_text_paths
 def observe(
-    log: Path, settings: Settings, progress: Progress | None = None, guess: bool = False
+    log: Path, settings: Settings = DEFAULTS, progress: Progress | None = None, guess: bool = False
 ) -> tuple[Recording, Features]:
     """A log as signals, and what perception finds in it; tracks and touches the log already carries are taken over.
 
@@ -64,9 +70,11 @@ def observe(
     return read, completed(read, found)
 
 
+@with_text_paths
 def extract(
-    log: Path, out: Path, settings: Settings, progress: Progress | None = None, tables: Path | None = None
-) -> Result:
+    log: Path, out: Path, settings: Settings = DEFAULTS, progress: Progress | None = None,
+    tables: Path | None = None,
+) -> Result:  # fmt: skip
     """Write the log's signals with tracks, touches and synchrony, without its pictures; `tables`: a folder for CSV."""
     from .annotating import annotate
     from .recording import tables as export
@@ -83,13 +91,14 @@ def extract(
         export.export_features(features, tables)
     health = {**read.health, **features.health}
     found = (*read.findings, *features.findings, *sighting_findings(features), *lost)
-    return Result(out, (), health, found, plain(read.settings))
+    return Result(out, NO_SCORES, health, found, plain(read.settings))
 
 
+@with_text_paths
 def fit(
     logs: Sequence[Path],
     out: Path,
-    settings: Settings,
+    settings: Settings = DEFAULTS,
     progress: Progress | None = None,
     update: Path | None = None,
     test: Sequence[Path] = (),
@@ -126,33 +135,28 @@ def fit(
     with log_context(logs[0], findings, len(logs) - 1):
         learned = camera_delay.learned(features, settings, origin, known, robot)
     learned = replace(learned, model=robot_model.based(learned.model, robot, features))
-    tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
+    tested, more = learned_tests.score(learned.model, [(log, *observe(log, settings, progress)) for log in test])
     storage.save(learned.model, out)
     findings = [*findings, *camera_findings, *unfit, *not_joints, *learned.findings, *learned.faint, *more]
     scores = (*learned.scores, *tested)
-    text = verdict.of_body(learned.model.joints, scores, calibration.summary(learned.model))
-    return Result(out, scores, _merged(observed), tuple(findings), plain(settings), verdict=text)
+    placed, others = calibration.summary(learned.model), robot_model.not_learned(learned.model, features)
+    text = verdict.of_body(learned.model.joints, scores, placed, others)
+    health = learned_tests.merged_health(observed)
+    return Result(out, Scores(scores), health, tuple(findings), plain(settings), verdict=text)
 
 
-def _tested(
-    learned: BodyModel, logs: Sequence[Path], settings: Settings, progress: Progress | None
-) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
-    """A body's scores on logs it did not learn from, dated as it knows its cameras, and what was found in them."""
-    from .body import test_scores as tested
-    from .estimation.timing import correction
+@with_text_paths
+def estimate(
+    log: Path, body: Path | None = None, out: Path | None = None, settings: Settings = DEFAULTS,
+    progress: Progress | None = None,
+) -> Result:  # fmt: skip
+    """Replay a log against a learned body and write it back with the estimate in it; without one, its joints alone.
 
-    observed = [(log, *observe(log, settings, progress)) for log in logs]
-    findings = [f for _, read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
-    for log, read, found in observed:
-        findings += same_camera(log, learned.provenance.get("cameras", ()), read, found)
-    timely = [correction.shifted(found, correction.learned_delays(learned)) for _, _, found in observed]
-    with log_context(logs[0], findings, len(logs) - 1):
-        scores, more = tested.score(learned, timely)
-    return scores, (*findings, *more)
-
-
-def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
-    """Replay a log against a learned body and write it back with the estimate in it; without one, its joints alone."""
+    Without `out`, nothing is left behind but the result.
+    """
+    if out is None:
+        with scratch() as folder:
+            return replace(estimate(log, body, folder / "estimate.mcap", settings, progress), output=None)
     from . import estimation, robot_model
     from .annotating import annotate, estimate_metadata
     from .body import storage
@@ -206,7 +210,8 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     return replace(found, settings={**found.settings, READ: "as learned"}, findings=(*found.findings, left_out))
 
 
-def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result:
+@with_text_paths
+def evaluate(log: Path, settings: Settings = DEFAULTS, truth: Path | None = None) -> Result:
     """Score the estimate an annotated log carries; `truth`: a table, arrays or a log that has the true angles."""
     from .annotating import read_back
     from .recording import recording
@@ -221,8 +226,9 @@ def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result
     return estimate_result(log, found, scores, found.used, findings)
 
 
+@with_text_paths
 def ingest(
-    log: Path, out: Path, settings: Settings, tables: Mapping[str, Path] | None = None,
+    log: Path, out: Path, settings: Settings = DEFAULTS, tables: Mapping[str, Path] | None = None,
     progress: Progress | None = None, **window: float | None,
 ) -> Result:  # fmt: skip
     """Write any log as one tidy MCAP with its roles named; `tables`: folders for its signals by form (csv, parquet)."""
@@ -239,8 +245,9 @@ def ingest(
     return Result(out, findings=findings)
 
 
+@with_text_paths
 def convert(
-    logs: Sequence[Path], out: Path, settings: Settings, form: str = "mcap", how: str = "lossless",
+    logs: Sequence[Path], out: Path, settings: Settings = DEFAULTS, form: str = "mcap", how: str = "lossless",
     topics: Sequence[str] | None = None, task: str | None = None, progress: Progress | None = None,
     **window: float | None,
 ) -> Result:  # fmt: skip
@@ -262,6 +269,7 @@ def convert(
     return Result(out, findings=conversion.convert(logs[0], out, topics, progress=progress, **window))
 
 
+@with_text_paths
 def doctor(log: Path, repair: Path | None = None, settings: Settings | None = None, progress: Progress | None = None,
            body: Path | None = None) -> Result:  # fmt: skip
     """What is wrong with a log, with settings its camera delays too (see delay_findings); `repair`: a sound copy."""
@@ -276,7 +284,7 @@ def doctor(log: Path, repair: Path | None = None, settings: Settings | None = No
     late = delay_findings.Examined() if settings is None else delay_findings.examine(log, known, settings)
     if repair is not None:
         logs_doctor.repair(log, repair, limits)
-    return Result(repair, late.scores, findings=(*findings, *late.findings))
+    return Result(repair, Scores(late.scores), findings=(*findings, *late.findings))
 
 
 def folders(option: str, *paths: Path | None) -> tuple[Output, ...]:
@@ -290,11 +298,3 @@ def count(log: Path) -> int:
 
     with open_log(log) as opened:
         return sum(topic.messages for topic in opened.topics)
-
-
-def _merged(observed: Sequence[tuple[Recording, Features]]) -> dict[str, Health]:
-    """Health by topic or track; of several logs each key begins with its log's name."""
-    of = {read.name: {**read.health, **found.health} for read, found in observed}
-    if len(of) == 1:
-        return next(iter(of.values()))
-    return {f"{name}:{key}": health for name, found in of.items() for key, health in found.items()}

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,9 +82,10 @@ def _of_frame(features: Sequence[Features]) -> "Robot | None":
 def joints_of_urdf(
     features: Sequence[Features], robot: "Robotics | None"
 ) -> tuple[list[Features], tuple[Finding, ...]]:
-    """The features without columns of tables that a requested URDF does not know, where it knows any of them."""
-    from dataclasses import replace
+    """The features with joints in the chain's order, of tables without columns that a requested URDF does not know.
 
+    Without effect where the URDF knows none of them.
+    """
     kept, findings = list[Features](), list[Finding]()
     for found in features:
         joints = found.joints
@@ -98,7 +100,7 @@ def joints_of_urdf(
             what = "these columns are not in it, so they are no joints"
             findings.append(Finding("info", f"{robot.robot.source}: {what}: {listed(others)}"))
         kept.append(found)
-    return kept, tuple(findings)
+    return in_chain_order(kept, robot), tuple(findings)
 
 
 def with_coordinates(settings: Settings, robot: "Robotics | None") -> Settings:
@@ -164,8 +166,6 @@ def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features
     """Add to each kinematic sense the chain from the robot's root, and the sizes of the images to the provenance."""
     if known is None:
         return body
-    from dataclasses import replace
-
     from .body.kinematic.learn import still
     from .body.kinematic.model import KinematicGP
     from .body.kinematic.placements import IMAGE_SIZES
@@ -181,6 +181,31 @@ def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features
     hints = known.hints.items()
     sizes = {f"camera {name}".strip(): list(hint.size) for name, hint in hints if hint.size is not None}
     return replace(body, senses=senses, provenance={**body.provenance, IMAGE_SIZES: sizes})
+
+
+def in_chain_order(features: Sequence[Features], known: "Robotics | None") -> list[Features]:
+    """The features with their joints in the order of the robot's chain, from its root on; those of no URDF stay last.
+
+    Drivers publish joints alphabetically, or as they were configured.
+    """
+    if known is None:
+        return list(features)
+    place = {name: k for k, name in enumerate(known.robot.chain_order())}
+    ordered = []
+    for one in features:
+        series = one.joints
+        if series is not None:
+            columns = sorted(range(len(series.names)), key=lambda k: place.get(series.names[k], len(place)))
+            names = tuple(series.names[k] for k in columns)
+            one = replace(one, joints=replace(series, values=series.values[:, columns], names=names))
+        ordered.append(one)
+    return ordered
+
+
+def not_learned(body: BodyModel, features: Sequence[Features]) -> tuple[str, ...]:
+    """Joints with readings over which the body was not learned, each once."""
+    names = (name for one in features if one.joints is not None for name in one.joints.names)
+    return tuple(name for name in dict.fromkeys(names) if name not in body.joints)
 
 
 def _hints(

@@ -1,13 +1,13 @@
 """Every setting with its meaning, values and default: one record per section of robot.toml; config.py resolves them."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from .io.toml_keys import Declared, declared, key, spell
+from .io.toml_keys import Declared, checked, declared, key, spell
 from .logs.joint_units import counts
 from .logs.limits import Input
-from .sources import Colour, ColourSource, Source, colour_key, is_colour, spelled
+from .sources import Colour, ColourSource, Source, colour_key, is_colour, parse, spelled
 
 __all__ = [
     "Body", "Camera", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Kinematics", "Settings", "Skin", "Source",
@@ -216,7 +216,10 @@ class Estimation:
 
 @dataclass(frozen=True)
 class Settings:
-    """All sections; `features` {name: source} declares tracks beside those of [colours]."""
+    """All sections; `features` {name: source} declares tracks beside those of [colours].
+
+    A section may be given as a mapping of its keys; ConfigError for an unknown key or an impossible value.
+    """
 
     input: Input = field(default_factory=Input)
     topics: Topics = field(default_factory=Topics)
@@ -231,6 +234,18 @@ class Settings:
     estimate: Estimation = field(default_factory=Estimation)
     synchrony: Clocks = field(default_factory=Clocks)
 
+    def __post_init__(self) -> None:
+        """Build each section that is given as a mapping."""
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if one.name == "features":
+                sources = {n: s if isinstance(s, Source) else parse(n, s, "Settings") for n, s in value.items()}
+                object.__setattr__(self, one.name, sources)
+            elif isinstance(value, Mapping):
+                table = one.default_factory
+                assert isinstance(table, type)
+                object.__setattr__(self, one.name, table(**checked(table, value, "Settings", one.name)))
+
 
 def about(section: str, name: str) -> Declared:
     """The declaration of a setting by its section and key in robot.toml."""
@@ -241,6 +256,18 @@ def plain(settings: Settings) -> dict[str, Any]:
     """The settings as nested plain values, to be written beside a result."""
     found = {section: {spell(k): v for k, v in values.items()} for section, values in asdict(settings).items()}
     return found | {"features": {name: spelled(source) for name, source in settings.features.items()}}
+
+
+def sought(settings: Settings, skin: bool) -> dict[str, Source]:
+    """The features to track in a log with or without `skin`: the default hand is of use to touches alone."""
+    found = wanted(settings)
+    default = settings.colours.hand == Colours().hand and "hand" not in settings.features
+    return {name: source for name, source in found.items() if name != "hand" or skin or not default}
+
+
+def hand_colour(settings: Settings, skin: bool) -> Colour | None:
+    """The colour of the hand that touches the skin; None in a log without skin, unless it is configured."""
+    return settings.colours.hand if skin or settings.colours.hand != Colours().hand else None
 
 
 def wanted(settings: Settings) -> dict[str, Source]:

@@ -12,6 +12,8 @@ from .wording import quantity
 
 MOST = 3
 """Faults, tracks or offsets that are written out; of more than one other the names."""
+FAITHFUL = 0.05
+"""Share by which error bars may be too wide or too narrow and still be called true."""
 _SHORTEST_DELAY = 1e-3
 """s: shorter camera delays are left out."""
 
@@ -22,13 +24,16 @@ def of_estimate(found: Estimate, scores: Sequence[Score]) -> tuple[str, ...]:
     return (*_first(faults, "faults"), *_delays(found), _agreement(found), *_error(found, scores))
 
 
-def of_body(joints: Sequence[str], scores: Sequence[Score], placements: Sequence[str] = ()) -> tuple[str, ...]:
+def of_body(
+    joints: Sequence[str], scores: Sequence[Score], placements: Sequence[str] = (), others: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Joints and tracks learned, held-out errors, calibration, joint zeros, and errors on test logs.
 
-    placements: where cameras and markers are, in sentences.
+    placements: where cameras and markers are, in sentences · others: joints that were not learned.
     """
     values = {score.name: score.value for score in scores}
-    learned = f"learned over {_count(len(joints), 'joint')}: {', '.join(joints[:6])}{', …' * (len(joints) > 6)}"
+    left = f"; not over {', '.join(others)}: why is told with -v" if others else ""
+    learned = f"learned over {_count(len(joints), 'joint')}: {', '.join(joints)}{left}"
     errors = [_held_out(track, value, values) for track, value in _of(values, "rmse/held_out").items()]
     offsets = [_offset(score, values) for score in scores if split(score.name)[0] == "offset"]
     tests = [_tested(track, value, values) for track, value in _of(values, "rmse/test").items()]
@@ -49,7 +54,7 @@ def of_batch(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     if errors:
         worst = max(errors, key=lambda name: errors[name])
         middle = float(np.median(list(errors.values())))
-        lines.append(f"error (RMSE): median {middle:.3g} rad, largest {errors[worst]:.3g} rad in {worst}")
+        lines.append(f"error (RMSE): median {_angle(middle)}, largest {_angle(errors[worst])} in {worst}")
     return tuple(lines)
 
 
@@ -142,20 +147,39 @@ def _agreement(found: Estimate) -> str:
 def _error(found: Estimate, scores: Sequence[Score]) -> Iterator[str]:
     values = {score.name: score.value for score in scores}
     if "rmse/joint" in values:
-        raw = f", raw encoders {values['rmse/encoders']:.3g}" if "rmse/encoders" in values else ""
+        raw = f", raw encoders {_angle(values['rmse/encoders'])}" if "rmse/encoders" in values else ""
         covered = f"; 2σ covers {values['coverage_2sigma/joint']:.1f} % of the truth"
-        yield f"error (RMSE) {values['rmse/joint']:.3g} rad{raw}{covered}"
+        yield f"error (RMSE) {_angle(values['rmse/joint'])}{raw}{covered}"
     elif len(found.cov):
         typical = 2.0 * float(np.sqrt(np.median(np.einsum("nii->ni", found.cov))))
-        yield f"no truth to compare with; typical 2σ error bar ± {typical:.3g} rad"
+        yield f"no truth to compare with; typical 2σ error bar ± {quantity(typical, None, _unit(found))}"
     if "rmse/effector_position" in values:
         yield f"effector position error (RMSE) {1e3 * values['rmse/effector_position']:.3g} mm"
 
 
+def _angle(value: float) -> str:
+    return quantity(value, None, "rad")
+
+
+def _unit(found: Estimate) -> str:
+    """The unit of the joints: rad, unless the readings are counts or of an unknown unit."""
+    return str(found.settings.get("joint_unit", "rad"))
+
+
 def _held_out(track: str, value: float, values: Mapping[str, float]) -> str:
-    ratio = values.get(f"nis/held_out/{track}")
-    true = "" if ratio is None else f", {ratio:.2f} of the variance expected"
-    return f"{track}: error {value:.3g} px on held-out parts of the log{true}"
+    bars = _error_bars(values.get(f"nis/held_out/{track}"))
+    return f"{track}: error {value:.3g} px on held-out parts of the log{bars}"
+
+
+def _error_bars(nis: float | None) -> str:
+    """How far error bars are from the errors that they are for, by the mean squared error in standard deviations."""
+    if nis is None or not nis > 0.0:
+        return ""
+    factor = nis**-0.5
+    if abs(factor - 1.0) < FAITHFUL:
+        return f"; its error bars are true to {100.0 * FAITHFUL:.0f} % (NIS {nis:.2f})"
+    way = "wide" if factor > 1.0 else "narrow"
+    return f"; its error bars are {100.0 * abs(factor - 1.0):.0f} % too {way} (NIS {nis:.2f})"
 
 
 def _offset(offset: Score, values: Mapping[str, float]) -> str | None:

@@ -21,9 +21,9 @@ from .io.temporary import scratch
 from .logs.protocol import Progress
 from .logs.topic_names import PREFIX
 from .pipeline import Result, doctor, folders, ingest, observe
-from .result import estimate_result
+from .result import NO_SCORES, Scores, estimate_result
 from .scoring import score_estimate
-from .settings import Settings, plain
+from .settings import Settings, hand_colour, plain
 from .types import Estimate, Features, Finding, Recording
 from .written_messages import topic_of
 
@@ -46,11 +46,11 @@ def plot(source: Path, out: Path, settings: Settings, progress: Progress | None 
         with log_context(source):
             figures.body_figure(learned, out, *_reprojected(learned))
         return Result(out)
-    read, features = observe(source, settings, progress)
+    read, features = observe(source, settings, progress, guess=True)
     with log_context(source):
         figures.recording_figure(read, features, out)
     health = {**read.health, **features.health}
-    return Result(out, (), health, (*read.findings, *features.findings), plain(settings))
+    return Result(out, NO_SCORES, health, (*read.findings, *features.findings), plain(settings))
 
 
 def _reprojected(learned: BodyModel) -> "tuple[tuple[Sheet, ...], tuple[Zero, ...]]":
@@ -152,7 +152,8 @@ def _recorded(log: Path, source: Path, out: Path, settings: Settings, done: Prog
     with errors_about(source, str(log)):
         unshown = rerun_process.recording(source, out, f"{log.name} {read.start_ns}", drawn, done)
     findings = (*read.findings, *findings, *_left_out(log, unshown, cameras))
-    return Result(out, () if found is None else score_estimate(found, read), findings=findings)
+    scores = NO_SCORES if found is None else Scores(score_estimate(found, read))
+    return Result(out, scores, findings=findings)
 
 
 def _tidied(log: Path, out: Path, settings: Settings, refused: LogError) -> tuple[Path, tuple[Finding, ...]]:
@@ -246,7 +247,7 @@ def features(log: Path, out: Path | None, settings: Settings, effector: tuple[fl
         distinct([log], [Output(out)], settings)
     read = recording.read(log, settings, settings.input.strict)
     with log_context(log):
-        found = survey(read, settings.colours.hand, effector)
+        found = survey(read, hand_colour(settings, read.skin is not None), effector)
         if not found.candidates:
             raise EvidenceError(f"no tag and no colour in {found.count} images; mount a printed tag: docs/recording.md")
     rows = [_offered(one, one is found.arm) for one in found.candidates]
@@ -285,4 +286,4 @@ def _figures(folder: Path, read: Recording, features: Features, found: Estimate,
         for suffix in (".png", ".svg"):
             figures.reprojection_figure(drawn, zeros, folder / f"reprojection{suffix}")
     if shown:
-        image_overlay.overlay_sheet(shown, folder / "overlay.png")
+        image_overlay.overlay_sheet(shown, folder / "overlay.png", features.hand is not None)

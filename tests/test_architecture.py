@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[1]
 BELOW = {"errors", "version", "wording", "io", "runtime"}
 RECORDS = {*BELOW, "logs", "types", "body_model", "overlay_style", "score_names", "settings", "sources"}
 ROOMS = {
+    "__main__": set(),
     "errors": set(),
     "version": set(),
     "wording": set(),
@@ -42,7 +43,7 @@ LAYERS = (
     {"effector_poses", "joint_limits", "robot_model"},
     {"observed", "written_messages"},
     {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "calibration",
-     "joints_only", "online", "scoring", "verdict"},
+     "joints_only", "learned_tests", "online", "scoring", "verdict"},
     {"delay_findings", "result"},
     {"pipeline"},
     {"compare", "views"},

@@ -17,13 +17,14 @@ TRUTH = (*TRUTH, Score("coverage_2sigma/joint", 95.9, "%"))
 def test_verdict_of_a_sound_log_names_no_fault_and_its_error() -> None:
     assert of_estimate(SOUND, TRUTH) == (
         f"no fault found in {len(JOINTS)} encoders and effector",
-        "error (RMSE) 0.0072 rad, raw encoders 0.0196; 2σ covers 95.9 % of the truth",
+        "error (RMSE) 0.0072 rad (0.413°), raw encoders 0.0196 rad (1.12°); 2σ covers 95.9 % of the truth",
     )
 
 
 def test_verdict_without_truth_gives_typical_error_bars() -> None:
     typical = 2.0 * np.sqrt(np.median(np.einsum("nii->ni", SOUND.cov)))
-    assert of_estimate(SOUND, ())[-1] == f"no truth to compare with; typical 2σ error bar ± {typical:.3g} rad"
+    bar = f"± {typical:.3g} rad ({np.degrees(typical):.3g}°)"
+    assert of_estimate(SOUND, ())[-1] == f"no truth to compare with; typical 2σ error bar {bar}"
 
 
 @pytest.mark.parametrize(
@@ -108,7 +109,7 @@ def test_body_verdict_states_holdout_error_and_sure_offsets() -> None:
     )  # fmt: skip
     assert of_body(("pan", "lift"), scores) == (
         "learned over 2 joints: pan, lift",
-        "tip: error 0.39 px on held-out parts of the log, 1.30 of the variance expected",
+        "tip: error 0.39 px on held-out parts of the log; its error bars are 12 % too narrow (NIS 1.30)",
         "pan: zero is off by +0.035 ± 0.002 rad (+2.01 ± 0.11°)",
     )
     rail = (Score("offset/rail", 0.004, "m"), Score("std/offset/rail", 0.001, "m"))
@@ -119,9 +120,28 @@ def test_body_verdict_states_holdout_error_and_sure_offsets() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("nis", "text"),
+    [
+        (0.77, "its error bars are 14 % too wide (NIS 0.77)"),
+        (1.05, "its error bars are true to 5 % (NIS 1.05)"),
+        (4.0, "its error bars are 50 % too narrow (NIS 4.00)"),
+    ],
+)
+def test_body_verdict_says_how_far_error_bars_are_from_the_errors(nis: float, text: str) -> None:
+    scores = Score("rmse/held_out/tip", 0.39, "px"), Score("nis/held_out/tip", nis, "1")
+    assert of_body(("pan",), scores)[1].endswith(f"; {text}")
+
+
+def test_body_verdict_names_all_joints_and_those_not_learned() -> None:
+    names = tuple(f"j{k}" for k in range(8))
+    (line,) = of_body(names, (), others=("gripper",))
+    assert line == f"learned over 8 joints: {', '.join(names)}; not over gripper: why is told with -v"
+
+
 def test_batch_verdict_counts_outcomes_and_names_the_worst() -> None:
     ended = (("a", "passed", {"rmse/joint": 0.01}), ("b", "passed", {"rmse/joint": 0.03}), ("c", "unusable", {}))
     assert of_batch([{"name": name, "status": status, "scores": scores} for name, status, scores in ended]) == (
         "3 logs: 2 passed, 1 unusable",
-        "error (RMSE): median 0.02 rad, largest 0.03 rad in b",
+        "error (RMSE): median 0.02 rad (1.15°), largest 0.03 rad (1.72°) in b",
     )

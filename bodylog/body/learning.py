@@ -158,7 +158,7 @@ def _senses(
             except np.linalg.LinAlgError as problem:
                 reason = f"no model of its {len(part.x)} sightings: {problem}"
             else:
-                reason = trainable.unexplained(found[name])
+                reason = trainable.unexplained(found[name], chosen)
         if reason is not None and fit.preset == "paper" and name in found:
             continue  # the paper's constants are used whatever they predict
         if reason is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from ..body_model import BodyModel
 from ..errors import ModelError
 from ..io.atomic_files import replacing
+from ..io.text_paths import with_text_paths
 from ..types import Array
 from . import header
 from .gp.model import GP
@@ -68,6 +69,7 @@ def save(model: BodyModel, path: Path) -> None:
                 np.lib.format.write_array(stream, arrays[name], version=(1, 0), allow_pickle=False)
 
 
+@with_text_paths
 def load(path: Path) -> BodyModel:
     """Read a model; ModelError, naming the field, for a wrong, truncated, newer or non-finite file."""
     if not path.is_file():

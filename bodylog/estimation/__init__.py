@@ -15,6 +15,7 @@ from .measurements import gather
 from .methods.finite import finite, solvable
 from .methods.table import METHODS, ignored_settings
 from .noise import typed
+from .noise.angle_unit import UNIT, as_angles, in_units, unit_of
 from .poses.estimate import estimate as still_poses
 from .timing.correction import add_delay_uncertainty, as_stamped, corrected
 
@@ -29,14 +30,20 @@ def estimate(
     All its numbers are finite; otherwise ModelError, EvidenceError or UsageError.
     """
     check(body, settings)
+    unit, size = unit_of(features.joints) if "encoders" not in body.senses else ("rad", 1.0)
+    if size != 1.0 and not body.senses and not settings.typed and settings.start is None:
+        angles = estimate(as_angles(features, size), body, settings, delay)
+        found = in_units(angles, unit, size)
+        return replace(found, settings={**found.settings, UNIT: unit})
     method = METHODS[settings.method]
     with one_thread(), solvable(settings.method):
         if features.poses:
             found = still_poses(features, body, settings, method.can)
         else:
             found = _timely(features, body, settings, delay)
-    found = replace(found, can=method.can)
-    return replace(found, findings=(*found.findings, *consistency_findings(found, settings)))
+    used = {**found.settings, **({} if unit == "rad" else {UNIT: unit})}
+    found = replace(found, can=method.can, settings=used)
+    return replace(found, findings=(*found.findings, *consistency_findings(found, settings, unit, size)))
 
 
 def _timely(features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float]) -> Estimate:

@@ -8,7 +8,8 @@ from difflib import get_close_matches
 from fnmatch import fnmatchcase
 
 from ..errors import BoundError, UsageError
-from ..score_names import renamed
+from ..io.toml_keys import nearest
+from ..score_names import FIGURES, renamed, split
 from ..types import Score
 
 COMPARE: Mapping[str, Callable[[float, float], bool]] = {
@@ -35,10 +36,21 @@ def parse(text: str) -> Bound:
     found = re.fullmatch(r"\s*([^\s<>=]+)\s*(>=|<=|>|<)\s*([-+0-9.eE]+)\s*", text)
     if found and (now := renamed(found[1])):
         raise UsageError(f"--fail-if {text!r}: {found[1]} is called {now} now; type {now}{found[2]}{found[3]}")
+    if found and not _possible(found[1]):
+        near = nearest(found[1].partition("*")[0] or found[1], list(FIGURES))
+        raise UsageError(f"--fail-if {text!r}: no score is called {found[1]}; did you mean {near}? see docs/metrics.md")
     try:
         return Bound(found[1], found[2], float(found[3])) if found else _refuse(text)
     except ValueError:
         return _refuse(text)
+
+
+def _possible(name: str) -> bool:
+    """Whether some score may have this name, in which * and ? may stand for any part of it."""
+    fixed = re.split(r"[*?\[]", name, maxsplit=1)[0]
+    if fixed == name:
+        return split(name)[0] in FIGURES
+    return any(figure.startswith(fixed) or fixed.startswith(f"{figure}/") for figure in FIGURES)
 
 
 def _refuse(text: str) -> Bound:

@@ -71,6 +71,18 @@ class Robot:
         """The link without a parent joint."""
         return next(link for link in self.links if link not in self.above)
 
+    def chain_order(self) -> list[str]:
+        """Names of the joints from the root on, each branch to its end, as the URDF orders branches."""
+        below: dict[str, list[Joint]] = {}
+        for joint in self.joints:
+            below.setdefault(joint.parent, []).append(joint)
+        order, waiting = list[str](), list(reversed(below.get(self.root, [])))
+        while waiting:
+            joint = waiting.pop()
+            order.append(joint.name)
+            waiting += reversed(below.get(joint.child, []))
+        return order
+
 
 def problems(robot: Robot) -> Iterator[str]:
     """Yield the reasons why links and joints are not one tree."""

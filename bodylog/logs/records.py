@@ -73,7 +73,7 @@ class Frame:
 
     t: float
     source_ns: int
-    decode: Callable[[int], Array]
+    decode: Callable[[int], Array] = field(repr=False)
     shrinks: bool = False
 
     @property

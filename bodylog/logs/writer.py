@@ -127,6 +127,8 @@ class _Texts:
 
 def _values(topic: str, name: str, field: Field, value: Any, count: int) -> Any:
     """One field of `count` messages: _Texts · numbers or ns (n,) · for arrays (n,K), or a list of n arrays or bytes."""
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        value = list(value)  # messages of unequal length, as a Table has them
     constant = _is_constant(field, value)
     if not constant and len(value) != count:
         raise ConfigError(f"{topic}: {name} has {len(value)} values for {count} messages")

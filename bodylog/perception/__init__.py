@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
 
-from ..settings import Colour, Settings, wanted
+from ..settings import Colour, Settings, sought, wanted
 from ..sources import ColourSource, PointSource, Source, board_points, track_names
 from ..types import Board, Features, Finding, Frame, Health, Recording, Series, Stroke
 from . import tracking
@@ -36,6 +36,11 @@ def observe(recording: Recording, settings: Settings, progress: Progress | None 
     Health is kept per track, and for "touch".
     """
     tracks, health, findings, size = _tracks(recording, settings, progress)
+    # the search begins before it is known whether the log has a skin
+    for name in wanted(settings).keys() - sought(settings, recording.skin is not None).keys():
+        tracks = {track: series for track, series in tracks.items() if track != name}
+        health = {track: counts for track, counts in health.items() if track != name}
+        findings = tuple(one for one in findings if not one.text.startswith(f"{name}: "))
     tracks, health = {**tracks, **recording.tracks}, {**health, **recording.track_health}
     touches = None
     if recording.skin is not None:

@@ -140,7 +140,7 @@ def test_learn_keeps_a_named_still_joint_with_a_warning(explored) -> None:
     settings = Settings(body=Body(joints=("pan", "lift", "elbow", "wrist")))
     found = learn([explored(0, 0.003, 20.0).features], settings, {})
     assert found.model.joints == settings.body.joints
-    assert any(f.severity == "warning" and f.text.startswith("wrist: moved 0.0") for f in found.findings)
+    assert any(f.severity == "warning" and f.text.startswith("wrist: moved 0.0") for f in found.faint)
     gp = found.model.senses["effector"]
     here = gp.samples.mean(axis=0)
     near, far = gp.predict(np.array([here, here + np.eye(4)[3]]))[2]

@@ -21,7 +21,7 @@ def test_parse_of_an_old_name_gives_the_new_one(old: str, new: str) -> None:
         parse(old)
 
 
-@pytest.mark.parametrize("name", ["nees/*", "nis/tip", "rmse/joint", "fault/*/elbow", "nonsense"])
+@pytest.mark.parametrize("name", ["nees/*", "nis/tip", "rmse/joint", "fault/*/elbow"])
 def test_parse_does_not_confuse_other_names_with_old_ones(name: str) -> None:
     assert parse(f"{name}>1").name == name
 
@@ -51,4 +51,18 @@ def test_parse_refuses_other_texts_than_bounds(text):
 
 def test_check_of_an_unknown_score_lists_the_known():
     with pytest.raises(UsageError, match="possible: nees/joint, rmse/joint"):
-        check(SCORES, [parse("rmse>1")])
+        check(SCORES, [parse("rmse/test>1")])
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [("rmse/jiont>1", "rmse/joint"), ("fautls>0", "faults"), ("nis2/*>1", "nis"), ("nonsense>1", "")],
+)
+def test_a_misspelt_score_is_refused_when_it_is_typed(typed, meant):
+    with pytest.raises(UsageError, match=f"did you mean {meant}"):
+        parse(typed)
+
+
+@pytest.mark.parametrize("typed", ["fault/*>0", "*>3", "delay/*>0.05", "nis/hand>1", "rmse/*>1", "used_share/[ab]<0.5"])
+def test_a_pattern_of_possible_scores_is_a_bound(typed):
+    assert parse(typed).limit >= 0.0

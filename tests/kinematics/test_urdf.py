@@ -1,5 +1,7 @@
 """Parsing a URDF, and errors that name what is wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,14 @@ def test_joints_and_links_are_read_with_unit_axes():
     assert robot.root == "base" and robot.by_name["lift"].axis.tolist() == [0.0, 1.0, 0.0]
     follower = urdf.parse(MIXED, "m.urdf").by_name["follower"].mimic
     assert follower is not None and (follower.joint, follower.multiplier, follower.offset) == ("turn", -0.5, 0.1)
+
+
+def test_chain_order_follows_the_chain_and_not_the_alphabet():
+    arm = urdf.parse(ARM, "arm.urdf")
+    order = [name for name in arm.chain_order() if arm.by_name[name].kind in robot_tree.MOVING]
+    assert order == ["pan", "lift", "elbow", "wrist"]
+    shuffled = replace(arm, joints=arm.joints[::-1])
+    assert [name for name in shuffled.chain_order() if name in order] == order
 
 
 LIES = {

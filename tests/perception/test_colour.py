@@ -191,9 +191,11 @@ def test_observe_gives_a_track_per_named_feature() -> None:
     discs = [[Disc(u, v, 6.0), Disc(30.0, 30.0, 7.0, scenes.YELLOW)] for u, v in PATH[:10]]
     settings = Settings(colours=Colours(markers={"elbow": "yellow"}))
     features = observe(scenes.recording(scenes.frames(T[:10], _film(discs, 0))), settings)
-    assert list(features.tracks) == ["effector", "hand", "elbow"]
+    assert list(features.tracks) == list(features.health) == ["effector", "elbow"]  # no skin, so no hand is looked for
     assert np.allclose(features.tracks["elbow"].values, 30.0, atol=0.3)
-    assert features.hand is not None and np.isnan(features.hand.values).all()
+    settings = replace(settings, colours=replace(settings.colours, hand="magenta"))
+    named = observe(scenes.recording(scenes.frames(T[:10], _film(discs, 0))), settings)
+    assert named.hand is not None and np.isnan(named.hand.values).all()
 
 
 def test_unseen_colour_is_named_with_the_colours_seen() -> None:
@@ -334,7 +336,7 @@ def test_further_cameras_look_for_what_is_on_the_arm_and_name_it_by_camera() -> 
     settings = Settings(colours=Colours(markers={"elbow": "yellow"}))
     alone = observe(scenes.recording(head), settings)
     both = observe(replace(scenes.recording(head), views={"side": side}), settings)
-    assert list(both.tracks) == ["effector", "hand", "elbow", "side/effector", "side/elbow"]
+    assert list(both.tracks) == ["effector", "elbow", "side/effector", "side/elbow"]
     assert np.array_equal(both.tracks["effector"].values, alone.tracks["effector"].values)
     seen = both.tracks["side/effector"]
     assert np.allclose(seen.t, T[:10] + 0.01) and np.allclose(seen.values, PATH[:10, ::-1], atol=0.5)

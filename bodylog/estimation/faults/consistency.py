@@ -15,12 +15,17 @@ NOISY = 0.1
 """rad: an encoder with more noise than this gets a warning."""
 
 
-def consistency_findings(found: Estimate, settings: Estimation) -> Iterator[Finding]:
-    """Yield a warning for each sense whose residuals exceed its error bars, and for each very noisy encoder."""
+def consistency_findings(
+    found: Estimate, settings: Estimation, unit: str = "rad", rad_per_unit: float = 1.0
+) -> Iterator[Finding]:
+    """Yield a warning for each sense whose residuals exceed its error bars, and for each very noisy encoder.
+
+    unit of the joints' readings, and its size in rad.
+    """
     learned = found.settings.get("encoder", found.settings.get("sigma_encoders"))
     for name, variance in zip(found.joints.names, learned if isinstance(learned, list) else (), strict=False):
-        if settings.precision == "auto" and settings.preset != "paper" and variance > NOISY**2:
-            text = f"encoders: {name} has noise of {variance**0.5:.2g} rad; do two nodes publish on its topic?"
+        if settings.precision == "auto" and settings.preset != "paper" and variance * rad_per_unit**2 > NOISY**2:
+            text = f"encoders: {name} has noise of {variance**0.5:.2g} {unit}; do two nodes publish on its topic?"
             yield Finding("warning", text)
     for sense, errors in found.errors.items():
         off = np.abs(errors.values[np.isfinite(errors.values)]) > FAR

@@ -36,30 +36,42 @@ def detect(evidence: Evidence, body: BodyModel) -> Evidence:
     if evidence.encoders is None:
         return evidence
     angles = "encoders" not in body.senses
-    encoders = _unwrapped(evidence.encoders) if angles else evidence.encoders
-    turned = np.abs(encoders.values - evidence.encoders.values) > 1.0
+    read, size = evidence.encoders, evidence.rad_per_unit
+    angled = replace(read, values=size * read.values)
+    encoders = _unwrapped(angled) if angles else angled
+    turned = np.abs(encoders.values - angled.values) > 1.0
     findings = [
         Finding("info", f"encoders: {name} wraps by a whole turn at {encoders.t[own][0]:.3f} s; its angle is unwrapped")
         for name, own in zip(body.joints, turned.T, strict=True) if own.any()
     ]  # fmt: skip
+    in_units = replace(encoders, values=encoders.values / size)
     complete = angles and np.isfinite(encoders.values).any(axis=0).all()
     images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
     found = {
-        name: _screened(encoders.t, y, partial(motion_nats, encoders, images, joint))
+        name: _screened(encoders.t, y, partial(motion_nats, in_units, images, joint))
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))
     }
-    faults = [Fault("encoders", name, *fault, "rad") for name, one in found.items() for fault in one.faults]
+    faults = [
+        Fault("encoders", name, kind, since, amount / size, evidence.unit)
+        for name, one in found.items() for kind, since, amount in one.faults
+    ]  # fmt: skip
     hypotheses = [
         Hypothesis(f"encoder {kind}", name, nats, NATS, nats > NATS)
         for name, one in found.items() for kind, nats in one.nats.items()
     ]  # fmt: skip
     return replace(
         evidence,
-        encoders=_with_columns(encoders, [one.values for one in found.values()]),
+        encoders=_in_units(read, angled, _with_columns(encoders, [one.values for one in found.values()]), size),
         faults=(*evidence.faults, *sorted(faults, key=lambda fault: fault.since)),
         findings=(*evidence.findings, *findings),
         hypotheses=(*evidence.hypotheses, *hypotheses),
     )
+
+
+def _in_units(read: Encoders, angled: Encoders, screened: Encoders, size: float) -> Encoders:
+    """Screened angles (rad) as readings of `size` rad a unit; those that screening left as they were are exact."""
+    same = screened.values == angled.values
+    return replace(screened, values=np.where(same, read.values, screened.values / size))
 
 
 def repaired(encoders: Encoders) -> Encoders:

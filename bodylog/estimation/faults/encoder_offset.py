@@ -9,7 +9,7 @@ from ...types import Array, Fault, Hypothesis
 from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import Problem
 from ..inference.solution import Solution
-from ..measurements.records import Encoders
+from ..measurements.records import Evidence
 from ..noise.quantisation import step_size
 from .offset_score import offset_score
 from .offset_step import Way, free_energy, likeliest_step
@@ -22,7 +22,7 @@ WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
 def suspected_encoders(problem: Problem, solved: Solution) -> tuple[Problem, Array]:
     """The problem with the hypotheses of an offset of each encoder, to first order, and which (M,) bool win NATS."""
     gain, offset, var = offset_score(problem, solved, WALKS[0])
-    certain = _significant(offset, var, smallest_fault(problem.evidence.encoders))
+    certain = _significant(offset, var, smallest_fault(problem.evidence))
     found = (("offset", j, nats, False) for j, nats in enumerate(gain)) if gain.any() else ()
     return _weighed(problem, found), np.asarray((gain > NATS) & certain.any(axis=0) & (_walks(problem) == 0))
 
@@ -130,17 +130,18 @@ def preset_walks(setting: str, names: tuple[str, ...], known: tuple[Fault, ...])
     return None
 
 
-def smallest_fault(encoders: Encoders | None) -> Array | float:
-    """Smallest offsets (M,) rad that count as faults: sound encoders are off by half a step of their counts.
+def smallest_fault(evidence: Evidence) -> Array | float:
+    """Smallest offsets (M,) that count as faults, in the readings' unit: sound encoders are off by half a count.
 
     An encoder that never moved is assumed to have the largest step of the others.
     """
+    encoders, least = evidence.encoders, OFFSET_STD / evidence.rad_per_unit
     if encoders is None:
-        return OFFSET_STD
+        return least
     columns = [column[np.isfinite(column)] for column in encoders.values.T]
     steps = [step_size(y) for y in columns]
     steps_shown = [step if len(y) and np.ptp(y) else max(steps) for step, y in zip(steps, columns, strict=True)]
-    return np.maximum(OFFSET_STD, steps_shown)
+    return np.maximum(least, steps_shown)
 
 
 def _significant(offset: Array, var: Array, least: Array | float) -> Array:
@@ -154,7 +155,7 @@ def faults(problem: Problem, offset: Array, var: Array) -> tuple[Fault, ...]:
     Where another joint's offset explains nearly as much, both are named and the size is NaN.
     """
     t, walks, names = problem.timeline.t, _walks(problem), problem.evidence.joints
-    found, certain = [], _significant(offset, var, smallest_fault(problem.evidence.encoders))
+    found, certain = [], _significant(offset, var, smallest_fault(problem.evidence))
     stepped = [(joint, *others) for joint, others in problem.alternatives.items() if not walks[joint]]
     known = (fault.name for fault in problem.evidence.faults if fault.sense == "encoders")
     faulty = {*known, *(names[j] for joints in stepped for j in joints)}
@@ -169,5 +170,5 @@ def faults(problem: Problem, offset: Array, var: Array) -> tuple[Fault, ...]:
             at = int((np.abs(offset[:, joint]) - SIGMAS * np.sqrt(var[:, joint])).argmax())
             size, std = (np.nan, None) if alternatives else (float(offset[at, joint]), float(np.sqrt(var[at, joint])))
             either, since = _either(names, joint, alternatives), float(t[lasting.argmax()])
-            found.append(Fault("encoders", either, "drifting", since, size, "rad", std))
+            found.append(Fault("encoders", either, "drifting", since, size, problem.evidence.unit, std))
     return tuple(found)

@@ -69,7 +69,7 @@ def likeliest_step(problem: Problem, wandering: Problem, joint: int, solved: Sol
     size += more
     prior = float(0.5 * (np.log1p((FAR / std) ** 2) + (size / FAR) ** 2) + (np.log(len(t)) if row else 0.0))
     kind, name = "jumping" if row else "drifting", problem.evidence.joints[joint]
-    fault = Fault("encoders", name, kind, float(t[row]), size, "rad", std)
+    fault = Fault("encoders", name, kind, float(t[row]), size, problem.evidence.unit, std)
     return Way(without(row, size), cost + prior, fault, prior)
 
 

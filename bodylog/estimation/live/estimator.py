@@ -29,7 +29,7 @@ class Belief:
     """At t (s): angles x (M,) rad · rates (M,) rad/s · cov (M,M) rad² of the angles · encoders' bias (M,) rad or None.
 
     free_energy (nats) of the readings given the earlier ones · errors {sense: (D,) standard deviations} of that instant
-    · lost: joints (M,) bool that were re-initialised at that instant, or None.
+    · lost: joints (M,) bool that were re-initialised at that instant, or None · joints: names (M,) in the order of x.
     """
 
     t: float
@@ -40,6 +40,7 @@ class Belief:
     errors: Mapping[str, Array]
     bias: Array | None = None
     lost: Array | None = None
+    joints: tuple[str, ...] = ()
 
 
 class Estimator:
@@ -120,7 +121,8 @@ class Estimator:
         m, z = len(self._body.joints), now.z.copy()
         first = self._noise.order * m
         cov = self._stated * now.p[:m, :m] if now.held is None else self._noise.of(now.p[:m, :m], now.held)
-        return Belief(now.t, z[:m], z[m : 2 * m], cov, nats, errors, z[first:] if len(z) > first else None, lost)
+        bias, names = z[first:] if len(z) > first else None, self._body.joints
+        return Belief(now.t, z[:m], z[m : 2 * m], cov, nats, errors, bias, lost, names)
 
     def _begin(self, readings: Sequence[Array]) -> ReplayBuffer:
         """An empty buffer with the initial belief; `readings` (M,) rad of this call."""

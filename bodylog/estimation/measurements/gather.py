@@ -9,6 +9,7 @@ from ...body_model import BodyModel
 from ...errors import EvidenceError, LogError, ModelError, UsageError
 from ...settings import Estimation
 from ...types import Array, Features, Finding, Health, Series
+from ..noise.angle_unit import unit_of
 from . import touch, track
 from .contract import Sense, health
 from .long_arrays import any_of_row, rows
@@ -30,7 +31,9 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
         encoders, used["encoders"] = _encoders(joints, read, body.joints, wanted)
     measured = {name: one for _, found in groups for name, one in found.items() if name in wanted}
     used |= {name: one.health for name, one in measured.items()}
-    return Evidence(encoders, tuple(one.sighting for one in measured.values()), used, (), read=read, joints=body.joints)
+    sightings = tuple(one.sighting for one in measured.values())
+    unit, size = unit_of(joints) if "encoders" not in body.senses else ("rad", 1.0)
+    return Evidence(encoders, sightings, used, (), read=read, joints=body.joints, unit=unit, rad_per_unit=size)
 
 
 def sound(evidence: Evidence, features: Features, body: BodyModel, settings: Estimation) -> Evidence:

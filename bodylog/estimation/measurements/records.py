@@ -106,7 +106,7 @@ class Evidence:
     """All measurements. `encoders` stay when unused (all NaN), for their clock.
 
     faults: sensors with faults, whose readings are removed · hypotheses: alternatives compared · read (N,M) rad: all
-    encoder readings, unused ones included · joints: their names (M,).
+    encoder readings, unused ones included · joints: their names (M,) · unit of the readings, rad_per_unit its size.
     """
 
     encoders: Encoders | None
@@ -117,3 +117,5 @@ class Evidence:
     hypotheses: tuple[Hypothesis, ...] = ()
     read: Array = field(default_factory=lambda: np.empty((0, 0)))
     joints: tuple[str, ...] = ()
+    unit: str = "rad"
+    rad_per_unit: float = 1.0

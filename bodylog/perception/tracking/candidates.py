@@ -54,11 +54,11 @@ class Survey:
         return next((one for one in self.candidates if not one.why), None)
 
 
-def survey(recording: Recording, hand: Colour, effector_uv: tuple[float, float] | None = None) -> Survey:
+def survey(recording: Recording, hand: Colour | None, effector_uv: tuple[float, float] | None = None) -> Survey:
     """Search some images of a recording for candidates; LogError where there are none.
 
     `effector_uv` (px) is the effector's place in the first image: candidates there come first. Whatever has the
-    `hand`'s colour is not on the arm.
+    `hand`'s colour is not on the arm; None without a hand.
     """
     picked = colour_proposals.picked(recording)
     t = np.array([moment for moment, _ in picked()])
@@ -96,7 +96,7 @@ def _tag(source: TagSource, track: Array, q: Array, width: float) -> Candidate:
     return _candidate(f"tag {source.tag} ({source.dictionary})", TAG, source, track, q, width)
 
 
-def _colour(one: Range, found: Array, t: Array, recording: Recording, width: float, hand: Colour) -> Candidate:
+def _colour(one: Range, found: Array, t: Array, recording: Recording, width: float, hand: Colour | None) -> Candidate:
     low, high = one.parts[0][0], one.parts[-1][1]
     choice = clutter.choose(t, found, recording.joints, width) if np.isfinite(found[:, 1:, 0]).any() else None
     if choice is None:
@@ -105,7 +105,8 @@ def _colour(one: Range, found: Array, t: Array, recording: Recording, width: flo
         track = np.where(choice.number[:, None] >= 0, found[np.arange(len(t)), choice.number, :2], np.nan)
     q = joint_motion.angles(recording.joints, t, 0.0 if choice is None else choice.delay)
     source = ColourSource({"low": low, "high": high})
-    why = "the hand's colour" if colour_proposals.name(one) in covered(resolve(hand, "hand")) else ""
+    of_hand = () if hand is None else covered(resolve(hand, "hand"))
+    why = "the hand's colour" if colour_proposals.name(one) in of_hand else ""
     if choice is None and not why and np.isfinite(found[:, 1, 0]).mean() > 0.5:
         why = "several things of this colour are in view, and none moves as the joints do"
     return _candidate(colour_proposals.name(one), COLOUR, source, track, q, width, why)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import InputError
-from ...settings import Settings
+from ...settings import Settings, hand_colour
 from ...types import Features, Recording, Series
 from . import candidates, joint_motion
 from .candidates import Survey
@@ -28,7 +28,7 @@ def find_alternative(recording: Recording, features: Features, settings: Setting
     if effector is None or size is None or not (why := _foreign(recording, effector, size[0])):
         return None
     try:
-        return Alternative(why, candidates.survey(recording, settings.colours.hand))
+        return Alternative(why, candidates.survey(recording, hand_colour(settings, recording.skin is not None)))
     except InputError:
         return None
 

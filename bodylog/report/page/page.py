@@ -35,7 +35,7 @@ def write(
         header(name, recording, estimate, scores, verdict),
         faults(estimate),
         _plots(most_points(drawn), notes(features, estimate)) if drawn else "",
-        _gallery(pictures),
+        _gallery(pictures, features.hand is not None),
         reprojection.section(reprojection.sheets(features, estimate), zeros),
         score_table(scores),
         tables(recording, features, estimate),
@@ -52,7 +52,7 @@ def _plots(points: int, lines: Sequence[str]) -> str:
     return "<h2>Over time</h2>\n" + plots((f"{marked}{kept}bands are never narrower than the whole ones.", *lines))
 
 
-def _gallery(pictures: Sequence[Picture]) -> str:
+def _gallery(pictures: Sequence[Picture], hand: bool) -> str:
     if not pictures:
         return ""
     shown = "\n".join(
@@ -60,7 +60,7 @@ def _gallery(pictures: Sequence[Picture]) -> str:
         f"<figcaption>{escaped(picture.caption)}</figcaption></figure>"
         for picture in pictures
     )
-    key = "green ring: measured · yellow cross and ellipse: predicted, 2σ · red square: hand"
+    key = "green ring: measured · yellow cross and ellipse: predicted, 2σ" + " · red square: hand" * hand
     return f'<h2>Pictures</h2>\n<p class="soft">{key}</p>\n<div class="pictures">\n{shown}\n</div>'
 
 

@@ -62,7 +62,7 @@ def pictures(recording: Recording, features: Features, estimate: Estimate, count
     return tuple(drawn)
 
 
-def overlay_sheet(drawn: Sequence[Picture], out: Path) -> None:
+def overlay_sheet(drawn: Sequence[Picture], out: Path, hand: bool = True) -> None:
     """Write the images side by side, each with a caption below, as one PNG; UsageError: no image, suffix."""
     if not drawn:
         raise UsageError(f"{out}: no images to put on the sheet; type: bodylog info LOG to see its cameras")
@@ -72,7 +72,8 @@ def overlay_sheet(drawn: Sequence[Picture], out: Path) -> None:
     for i, tile in enumerate(tiles):
         top, left = i // _ACROSS * height, i % _ACROSS * _TILE
         sheet[top : top + len(tile), left : left + _TILE] = tile
-    key = _words("green ring: measured | yellow cross, ellipse: predicted, 2 sigma | red square: hand", sheet.shape[1])
+    legend = "green ring: measured | yellow cross, ellipse: predicted, 2 sigma" + " | red square: hand" * hand
+    key = _words(legend, sheet.shape[1])
     write(np.vstack([sheet, key]), out)
 
 
