@@ -49,20 +49,26 @@ colours = click.Command(
 def _print(found: "Offered") -> None:
     from .output import line
 
-    rows = [("", "seen", "strays", "joints explain", ""), *(_row(one) for one in found.candidates)]
+    rows = [("", "seen", "moves by", "joints explain", ""), *(_row(one) for one in found.candidates)]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    line(f"# {found.images} images looked at")
+    line(f"# {found.images} images looked at; moves by: standard deviation of its place; -: not computed")
     for name, *figures, verdict in rows:
         cells = "  ".join(f"{text:>{width}}" for text, width in zip(figures, widths[1:], strict=True))
         line(f"{name:<{widths[0]}}  {cells}  {verdict}".rstrip())
-    line("# paste one of these under [features] in robot.toml")
+    line("# paste one of these lines under [features] in robot.toml")
     for one in found.candidates:
-        line(one["line"] if one["arm"] else f"# {one['line']}  # {one['name']}")
+        mark = ", the arm's" if one["arm"] else ""
+        line(f"{one['line']}  # {one['name']}{mark}")
+
+
+_NOT_JUDGED = ("seen in", "no joint moves", "it stands still")
+"""How the reasons begin for which no share of motion is computed."""
 
 
 def _row(one: dict[str, Any]) -> tuple[str, ...]:
     also = one["why_not"] or "also moves as the joints do"
-    figures = f"{one['seen']:.0%}", f"{one['strays_px']:.0f} px", f"{one['explained']:.0%}"
+    judged = not also.startswith(_NOT_JUDGED)
+    figures = f"{one['seen']:.0%}", f"{one['strays_px']:.0f} px", f"{one['explained']:.0%}" if judged else "-"
     return one["name"], *figures, "the arm's" if one["arm"] else also
 
 
