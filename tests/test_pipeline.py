@@ -94,10 +94,11 @@ def test_constant_encoder_offset_may_be_the_camera() -> None:
     given = (("drifting", 0.2), ("drifting", 9.0), ("jumping", 0.2))
     first, later, jump = fault_warnings([Fault("encoders", "a", kind, since, 0.1, "rad") for kind, since in given])
     assert first.text == (
-        "encoders a: drifting since 0.200 s, 0.1 rad; from the start: homed differently, or the camera moved "
+        "encoders a: drifting since 0.200 s, 0.1 rad (5.73°); from the start: homed differently, or the camera moved "
         "since the body was learned"
     )
-    assert later.text == "encoders a: drifting since 9.000 s, 0.1 rad" and jump.text.endswith("0.1 rad")
+    assert later.text == "encoders a: drifting since 9.000 s, 0.1 rad (5.73°)"
+    assert jump.text.endswith("0.1 rad (5.73°)")
 
 
 def test_progress_counts_the_messages_or_images_of_the_whole_log(tmp_path):
