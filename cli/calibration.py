@@ -16,26 +16,38 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print the result a
 @click.option("-o", "--output", "out", type=OUT, help="Write it: .yaml, .json, or .urdf with --urdf.")
 @_URDF
 @click.option("--camera-info", type=OUT, metavar="DIR", help="Write each lens as DIR/CAMERA.yaml for ROS.")
+@click.option("--next", "count", type=click.IntRange(1, 100), metavar="N", help="Propose N postures to record next.")
+@click.option("--among", type=PATH, metavar="POSES.csv", help="Choose them among these, not within limits.")
 @_JSON
-def calibration(body: Path, out: Path | None, urdf: Path | None, camera_info: Path | None, as_json: bool) -> int:
+def calibration(
+    body: Path,
+    out: Path | None,
+    urdf: Path | None,
+    camera_info: Path | None,
+    count: int | None,
+    among: Path | None,
+    as_json: bool,
+) -> int:
     """Print where cameras and markers are, their lenses, and joint zeros.
 
     The body must be learned with a URDF. Each value has its standard deviation, in mm, degrees and px.
     """
-    from bodylog import calibration
+    from bodylog import calibration, next_postures
     from bodylog.pipeline import Result
 
     from .output import entry, line, print_json, warn
 
     found = calibration.load(body)
     values = calibration.table(found)
+    proposal = None if count is None else next_postures.proposed(body, count, urdf, among)
     written = calibration.write_lenses(body, found, camera_info) if camera_info is not None else ()
     if out is not None:
         calibration.write(found, out, urdf, values)
     if as_json:
-        print_json([entry(Result(out, findings=found.findings), body) | {"calibration": values}])
+        further = {} if proposal is None else {"next": next_postures.table(proposal)}
+        print_json([entry(Result(out, findings=found.findings), body) | {"calibration": values} | further])
         return 0
-    for text in calibration.lines(found):
+    for text in calibration.lines(found) if proposal is None else next_postures.lines(proposal):
         line(text)
     warn(found.findings)
     _report_written(out, *written, scales=bool(found.scales))

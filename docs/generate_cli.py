@@ -29,8 +29,8 @@ always printed, information with `-v`; `-q` leaves errors and losses alone. A te
 
 `results` has one entry for each input; `fit` and `convert` make one of several logs, whose `input` is a list. Some
 commands add keys: `info` `log` or `body`, `fit` `body`, `compare` `rows`, `features` `candidates`, `calibration`
-`calibration`, `offsets` `offsets` and `scales`, `batch` `name`, `status`, `exit_code` and `error`, `reproduce`
-`claims`.
+`calibration` and `next`, `offsets` `offsets` and `scales`, `batch` `name`, `status`, `exit_code` and `error`,
+`reproduce` `claims`.
 
 ## Shell completion
 

@@ -43,7 +43,7 @@ LAYERS = (
     {"effector_poses", "joint_limits", "robot_model"},
     {"observed", "written_messages"},
     {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "calibration",
-     "joints_only", "learned_tests", "online", "scoring", "verdict"},
+     "joints_only", "learned_tests", "next_postures", "online", "scoring", "verdict"},
     {"delay_findings", "result"},
     {"pipeline"},
     {"compare", "views"},

@@ -1,0 +1,168 @@
+"""Which postures to record next: those whose sightings would narrow the calibration most, one after the other."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...body_model import BodyModel
+from ...errors import EvidenceError, ModelError
+from ...kinematics.robot import Limits
+from ...types import Array
+from ..gp.model import GP
+from .model import KinematicGP
+from .placements import IMAGE_SIZES
+
+CANDIDATES = 2000
+"""Random postures that are weighed."""
+_MOST_VISIBLE = 300
+"""Visible ones that are weighed; the cost is quadratic in them."""
+_AXES = (0, 1)
+_NEAREST, _FARTHEST = 0.5, 2.0
+"""Depths of postures, over the least and the greatest depth of the sightings learned from."""
+_EDGE = 0.05
+"""Share of an image's width at its edges in which a marker may be cut off."""
+_MARGIN = 0.02
+"""Share of a joint's range that is left free at its limits."""
+_SEED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """Postures (N,M), rad or m where `sliding`, in the order of their worth · nats (N,) each adds to the ones before.
+
+    std_px (N+1,): root mean square std of where visible postures will be seen, by what the calibration does not know:
+    now, and after each posture.
+    """
+
+    joints: tuple[str, ...]
+    sliding: tuple[bool, ...]
+    postures: Array
+    nats: Array
+    std_px: Array
+
+
+def propose(body: BodyModel, count: int, candidates: Array) -> Proposal:
+    """The best of some postures (K,M) to record, chosen greedily by the error they leave over all of them.
+
+    Predictions are Gaussian together, through θ and the residual process. The worth of a posture is how much its
+    sighting lowers their variance, summed over all postures (Cohn, Ghahramani & Jordan 1996): what serves predictions,
+    while D-optimality would serve θ, whose directions matter unequally. EvidenceError where too few are visible.
+    """
+    senses = kinematic_senses(body)
+    shown = [visible(body, sense, candidates) for sense in senses.values()]
+    seen = np.flatnonzero(np.any(shown, axis=0))
+    if len(seen) < count:
+        raise EvidenceError(f"only {len(seen)} of {len(candidates)} postures would be seen, {count} are needed")
+    seen = seen[np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_VISIBLE)).round().astype(int))]
+    there = np.array(shown)[:, seen]
+    covariance, noise = _predicted(body, senses, candidates[seen], there)
+    known = np.repeat(there.T, len(_AXES), axis=1).reshape(-1)
+    nats = list[float]()
+    left = [_std(covariance, known)]
+    chosen = list[int]()
+    for _ in range(count):
+        best, gained = _most_useful(covariance, noise, there, chosen)
+        rows = _rows_of(best, len(noise[0]))
+        inner = covariance[np.ix_(rows, rows)] + np.diag(noise[best])
+        covariance = covariance - covariance[:, rows] @ np.linalg.solve(inner, covariance[rows])
+        chosen.append(best)
+        nats.append(gained)
+        left.append(_std(covariance, known))
+    rig = next(iter(senses.values())).rig
+    sliding = tuple(rig.slides(m) for m in range(len(body.joints)))
+    return Proposal(body.joints, sliding, candidates[seen[chosen]], np.array(nats), np.array(left))
+
+
+def _predicted(body: BodyModel, senses: Mapping[str, KinematicGP], x: Array, there: Array) -> tuple[Array, Array]:
+    """Covariance (KR,KR) px² of the predictions of all tracks at x (K,M), posture by posture, and noise (K,R) px².
+
+    R: u and v of each track; those that are not there (S,K) have neither.
+    """
+    each = zip(senses.values(), there, strict=True)
+    rows = np.concatenate([np.where(one[:, None, None], sense.unknowns(x), 0.0) for sense, one in each], axis=1)
+    count, width = rows.shape[:2]
+    flat = rows.reshape(count * width, -1)
+    covariance = (flat @ flat.T).reshape(count, width, count, width)
+    noise = np.empty((count, width))
+    for k, (name, sense) in enumerate(senses.items()):
+        residual = GP.covariance(sense, x) * np.outer(there[k], there[k])
+        for axis in _AXES:
+            column = len(_AXES) * k + axis
+            covariance[:, column, :, column] += residual[min(axis, len(residual) - 1)] * sense.share[axis]
+            noise[:, column] = body.noise.senses[name][axis]
+    return covariance.reshape(count * width, count * width), noise
+
+
+def _most_useful(covariance: Array, noise: Array, there: Array, taken: list[int]) -> tuple[int, float]:
+    """The posture whose sighting lowers the summed variance of all predictions most, and the nats that it adds."""
+    best = -1
+    most = -np.inf
+    nats = 0.0
+    for k in np.flatnonzero(there.any(axis=0)).tolist():
+        if k in taken:
+            continue
+        rows = _rows_of(k, noise.shape[1])
+        columns = covariance[:, rows]
+        inner = columns[rows] + np.diag(noise[k])
+        worth = float(np.trace(np.linalg.solve(inner, columns.T @ columns)))
+        if worth > most:
+            best = k
+            most = worth
+            nats = float(0.5 * (np.linalg.slogdet(inner)[1] - np.log(noise[k]).sum()))
+    return best, nats
+
+
+def _rows_of(posture: int, width: int) -> Array:
+    return np.arange(posture * width, (posture + 1) * width)
+
+
+def _std(covariance: Array, known: Array) -> float:
+    """Root mean square std, px, of the predictions that are of visible tracks."""
+    return float(np.sqrt(max(float(np.diag(covariance)[known].mean()), 0.0)))
+
+
+def kinematic_senses(body: BodyModel) -> dict[str, KinematicGP]:
+    """The senses with a URDF's chain; ModelError without any."""
+    senses = {name: sense for name, sense in body.senses.items() if isinstance(sense, KinematicGP)}
+    if not senses:
+        raise ModelError("learned without a URDF, so without a calibration; type: bodylog fit LOG --urdf ROBOT.urdf")
+    return senses
+
+
+def random_postures(body: BodyModel, limits: Mapping[str, Limits]) -> Array:
+    """Postures (K,M) within the joints' limits, or within the explored range of a joint without limits."""
+    samples = np.concatenate([sense.samples for sense in kinematic_senses(body).values()])
+    low = samples.min(axis=0)
+    high = samples.max(axis=0)
+    for m, joint in enumerate(body.joints):
+        if (limit := limits.get(joint)) is not None:
+            free = _MARGIN * (limit.upper - limit.lower)
+            low[m] = limit.lower + free
+            high[m] = limit.upper - free
+    return np.random.default_rng(_SEED).uniform(low, high, (CANDIDATES, len(low)))
+
+
+def visible(body: BodyModel, sense: KinematicGP, postures: Array) -> Array:
+    """Whether a track would be in the image, away from its edges and about as far as before: (K,) bool of (K,M)."""
+    camera = sense.rig.cameras[0]
+    width, height = body.provenance.get(IMAGE_SIZES, {}).get(camera.name, 2.0 * camera.lens[2:4])
+    image = sense.kinematics(postures)
+    edge = _EDGE * width
+    inside = ((image > edge) & (image < np.array([width, height]) - edge)).all(axis=1)
+    depth = _depth(sense, postures)
+    learned = _depth(sense, sense.samples)
+    near = depth > _NEAREST * max(float(learned.min()), 0.0)
+    return np.asarray(inside & near & (depth < _FARTHEST * float(learned.max())))
+
+
+def _depth(sense: KinematicGP, postures: Array) -> Array:
+    """Depth (K,) m of a track before its camera."""
+    rig = sense.rig
+    sight = rig.sights[0]
+    arm = sight.chain.at(rig.angles(sense.theta, postures))
+    marker = rig.carrier_pose(0, sense.theta)
+    point = marker[:3, :3] @ sight.points[0] + marker[:3, 3]
+    camera = rig.camera_pose(0, sense.theta)
+    place = arm.rotation @ point + arm.place
+    return np.asarray(place @ camera[2, :3] + camera[2, 3])

@@ -1,0 +1,80 @@
+"""Postures proposed for a calibration are visible, within limits, and narrow it more than random ones."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bodylog import body
+from bodylog.body import storage as files
+from bodylog.body.kinematic.learn import learn
+from bodylog.body.kinematic.next_poses import kinematic_senses, propose, random_postures, visible
+from bodylog.errors import EvidenceError
+from bodylog.settings import Settings
+from tests.body.test_boards import features
+from tests.body.test_kinematic import given
+from tests.kinematics import robots
+from tests.kinematics.robots import ARM, JOINTS
+
+LIMITS = {"pan": SimpleNamespace(lower=-0.5, upper=0.5), "elbow": SimpleNamespace(lower=0.2, upper=1.4)}
+
+
+@pytest.fixture(scope="module")
+def learned():
+    explored = features(robots.angles(12))
+    return learn([explored], Settings(), body.learn([explored], Settings(), {}, None, True), given()).model
+
+
+def test_random_postures_keep_to_the_limits(learned):
+    postures = random_postures(learned, LIMITS)
+    samples = np.concatenate([one.samples for one in kinematic_senses(learned).values()])
+    for m, joint in enumerate(JOINTS):
+        limit = LIMITS.get(joint, SimpleNamespace(lower=samples[:, m].min(), upper=samples[:, m].max()))
+        assert limit.lower <= postures[:, m].min() and postures[:, m].max() <= limit.upper
+        assert np.ptp(postures[:, m]) > 0.9 * (limit.upper - limit.lower)
+
+
+def test_proposed_postures_lower_the_error_more_than_random_ones(learned):
+    candidates = random_postures(learned, LIMITS)
+    found = propose(learned, 4, candidates)
+    senses = kinematic_senses(learned)
+    assert len({tuple(one) for one in found.postures.tolist()}) == 4
+    for posture in found.postures:
+        assert any(visible(learned, sense, posture[None])[0] for sense in senses.values())
+    assert (np.diff(found.std_px) < 0.0).all() and (found.nats > 0.0).all()
+    random = [propose(learned, 1, candidates[k : k + 1]).nats[0] for k in range(40) if _seen(learned, candidates[k])]
+    assert found.nats[0] > np.median(random)
+
+
+def _seen(learned, posture):
+    return any(visible(learned, sense, posture[None])[0] for sense in kinematic_senses(learned).values())
+
+
+def test_postures_out_of_sight_are_refused(learned):
+    narrow = replace(learned, provenance={**learned.provenance, "image_sizes": {"camera": [20, 20]}})
+    with pytest.raises(EvidenceError, match="0 of 5 postures would be seen, 2 are needed"):
+        propose(narrow, 2, robots.angles(5))
+
+
+def test_command_prints_postures(learned, tmp_path, run_cli, capsys):
+    files.save(learned, tmp_path / "body.npz")
+    (tmp_path / "arm.urdf").write_text(ARM)
+    typed = ("calibration", tmp_path / "body.npz", "--next", "2")
+    assert run_cli(*typed) == 2 and "--among POSES.csv" in capsys.readouterr().err
+    assert run_cli(*typed, "--urdf", tmp_path / "arm.urdf") == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("now the calibration foretells images to ± ")
+    assert printed[1].startswith("1: pan ") and len(printed) == 3
+    table = tmp_path / "safe.csv"
+    rows = robots.angles(20, seed=4)
+    table.write_text("\n".join([",".join(JOINTS), *(",".join(map(repr, row.tolist())) for row in rows)]) + "\n")
+    assert run_cli(*typed, "--among", table, "--json") == 0
+    found = json.loads(capsys.readouterr().out)["results"][0]["next"]
+    for posture in found["postures"]:
+        assert np.abs(rows - np.array([posture[name] for name in JOINTS])).max(axis=1).min() < 1e-9
+    assert len(found["std_px"]) == 3
+    table.write_text("pan,lift\n0.1,0.2\n0.3,0.1\n")
+    assert run_cli(*typed, "--among", table) == 65
+    assert "safe.csv: joint 'elbow' of the body is missing; it has pan, lift" in capsys.readouterr().err
