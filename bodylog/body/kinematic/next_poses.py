@@ -45,9 +45,9 @@ class Proposal:
 def propose(body: BodyModel, count: int, candidates: Array) -> Proposal:
     """The best of some postures (K,M) to record, chosen greedily by the error they leave over all of them.
 
-    Predictions are Gaussian together, through θ and the residual process. The worth of a posture is how much its
-    sighting lowers their variance, summed over all postures (Cohn, Ghahramani & Jordan 1996): what serves predictions,
-    while D-optimality would serve θ, whose directions matter unequally. EvidenceError where too few are visible.
+    Predictions are Gaussian together, through θ. The worth of a posture is how much its sighting lowers their variance,
+    summed over all postures (I-optimality; Fedorov 1972): what serves predictions, while D-optimality would serve θ,
+    whose directions matter unequally. EvidenceError where too few are visible.
     """
     senses = kinematic_senses(body)
     shown = [visible(body, sense, candidates) for sense in senses.values()]
@@ -75,23 +75,21 @@ def propose(body: BodyModel, count: int, candidates: Array) -> Proposal:
 
 
 def _predicted(body: BodyModel, senses: Mapping[str, KinematicGP], x: Array, there: Array) -> tuple[Array, Array]:
-    """Covariance (KR,KR) px² of the predictions of all tracks at x (K,M), posture by posture, and noise (K,R) px².
+    """Covariance (KR,KR) px² of the predictions of all tracks at x (K,M) by θ, posture by posture, and noise (K,R) px².
 
-    R: u and v of each track; those that are not there (S,K) have neither.
+    R: u and v of each track, without covariance where it is not there (S,K). The residual process counts as noise: six
+    sightings teach it little beyond their own surroundings.
     """
     each = zip(senses.values(), there, strict=True)
     rows = np.concatenate([np.where(one[:, None, None], sense.unknowns(x), 0.0) for sense, one in each], axis=1)
     count, width = rows.shape[:2]
     flat = rows.reshape(count * width, -1)
-    covariance = (flat @ flat.T).reshape(count, width, count, width)
+    covariance = flat @ flat.T
     noise = np.empty((count, width))
     for k, (name, sense) in enumerate(senses.items()):
-        residual = GP.covariance(sense, x) * np.outer(there[k], there[k])
-        for axis in _AXES:
-            column = len(_AXES) * k + axis
-            covariance[:, column, :, column] += residual[min(axis, len(residual) - 1)] * sense.share[axis]
-            noise[:, column] = body.noise.senses[name][axis]
-    return covariance.reshape(count * width, count * width), noise
+        columns = slice(len(_AXES) * k, len(_AXES) * (k + 1))
+        noise[:, columns] = GP.predict(sense, x)[2] + np.array(body.noise.senses[name])
+    return covariance, noise
 
 
 def _most_useful(covariance: Array, noise: Array, there: Array, taken: list[int]) -> tuple[int, float]:
@@ -144,12 +142,16 @@ def random_postures(body: BodyModel, limits: Mapping[str, Limits]) -> Array:
 
 
 def visible(body: BodyModel, sense: KinematicGP, postures: Array) -> Array:
-    """Whether a track would be in the image, away from its edges and about as far as before: (K,) bool of (K,M)."""
+    """Whether a track would surely be in the image and about as far as before: (K,) bool of postures (K,M).
+
+    Its predicted place is a share _EDGE of the width from the edges, which is two standard deviations at least.
+    """
     camera = sense.rig.cameras[0]
     width, height = body.provenance.get(IMAGE_SIZES, {}).get(camera.name, 2.0 * camera.lens[2:4])
-    image = sense.kinematics(postures)
+    image, _, variance = sense.predict(postures)
     edge = _EDGE * width
     inside = ((image > edge) & (image < np.array([width, height]) - edge)).all(axis=1)
+    inside &= (variance < np.square(0.5 * edge)).all(axis=1)
     depth = _depth(sense, postures)
     learned = _depth(sense, sense.samples)
     near = depth > _NEAREST * max(float(learned.min()), 0.0)
