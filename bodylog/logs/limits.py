@@ -1,7 +1,9 @@
-"""Limits on what a log may decompress to."""
+"""Limits on what a log may ask for: of pixels, unpacked bytes, numbers, names and time."""
 
+import math
 from dataclasses import dataclass
 
+from ..errors import LogError
 from ..io.toml_keys import key
 
 
@@ -17,7 +19,29 @@ class Input:
     max_unpacked_gb: float = key(
         0.5, "Most that a log decompresses to, or 1024 times its packed size.", unit="GB", low=1e-3, high=1e6
     )
+    max_table_mb: float = key(
+        128.0, "Most that a table's or dataset's numbers and texts take.", unit="MB", low=1, high=1e6
+    )
+    max_datasets: int = key(2000, "Most datasets of one HDF5 episode.", low=1, high=10**6)
+    max_frames: int = key(500_000, "Most images of one camera of a dataset or video.", low=1, high=10**8)
 
 
 LIMITS = Input()
 """The limits where there are no settings."""
+
+
+class TableSize:
+    """What the numbers and texts of one log take, counted before they are read."""
+
+    def __init__(self, limits: Input) -> None:
+        """Count from 0 bytes."""
+        self._most, self._taken = limits.max_table_mb * 1e6, 0
+
+    def take(self, size: int, what: str) -> None:
+        """Count the `size` bytes of `what`; LogError, with the setting to type, where all are too many."""
+        whole = self._taken + size
+        if whole > self._most:
+            text = f"{what}: {size / 1e6:.4g} MB of numbers and texts, {whole / 1e6:.4g} MB with those before"
+            asked = f"type in robot.toml: [input] max_table_mb = {math.ceil(whole / 1e6)}"
+            raise LogError(f"{text}, where {self._most / 1e6:g} MB are allowed; to read them, {asked}")
+        self._taken = whole

@@ -83,7 +83,8 @@ class EpisodeLog:
         self._lost: dict[str, str] = {}
         streams = [one for one in episode.streams if len(one.ns)]
         if not streams:
-            raise LogError(f"{path}: the episode is empty: no rows and no images")
+            lost = next((one.text for one in episode.findings if one.severity == "lost"), "")
+            raise LogError(f"{path}: the episode is empty: {lost or 'no rows and no images'}")
         self._streams = dict(enumerate(streams))
         self.topics: tuple[Topic, ...] = tuple(_topic(number, one) for number, one in self._streams.items())
         self.start_ns = min(int(one.ns.min()) for one in streams)
@@ -172,17 +173,31 @@ def _type(one: Signal | Texts | Camera) -> str:
 
 
 def _held(number: int, one: Signal | Texts | Camera) -> Iterator[Batch]:
-    """All messages of a topic at once; those of a camera have no image."""
-    made = _texts(one) if isinstance(one, Texts) else cdr.serialise(len(one.ns), _fields(one))
-    yield Batch(number, one.ns, made.data, made.offset, made.length)
+    """All messages of a topic, some megabytes at a time; those of a camera have no image."""
+    if isinstance(one, Texts):
+        made = _texts(one)
+        yield Batch(number, one.ns, made.data, made.offset, made.length)
+        return
+    step = max(1, _BATCH_BYTES // _message_bytes(one))
+    for first in range(0, len(one.ns), step):
+        ns = one.ns[first : first + step]
+        made = cdr.serialise(len(ns), _fields(one, slice(first, first + step)))
+        yield Batch(number, ns, made.data, made.offset, made.length)
 
 
-def _fields(one: Signal | Camera) -> list[CdrField]:
+def _message_bytes(one: Signal | Camera) -> int:
+    """The length of a message of a topic."""
+    return int(cdr.serialise(1, _fields(one, slice(1))).length[0])
+
+
+def _fields(one: Signal | Camera, rows: slice) -> list[CdrField]:
+    ns = one.ns[rows]
     if isinstance(one, Camera):
-        return _image_fields(one, one.ns, np.empty((len(one.ns), 0), np.uint8))
-    fields: list[CdrField] = [*cdr.header(one.ns), ("string[]", one.names), ("float64[]", one.values)]
+        return _image_fields(one, ns, np.empty((len(ns), 0), np.uint8))
+    values = one.values[rows]
+    fields: list[CdrField] = [*cdr.header(ns), ("string[]", one.names), ("float64[]", values)]
     # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array
-    unknown = np.full(one.values.shape, np.nan)
+    unknown = np.broadcast_to(np.nan, values.shape)
     return fields + ([("float64[]", unknown)] * 2 if one.type == JOINT_STATE else [])
 
 

@@ -1,19 +1,21 @@
 """HDF5 episodes as logs: ALOHA (/observations/qpos, /action) and robomimic (/data/demo_N/obs/…)."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...errors import LogError
+from ...errors import FormatError, InputError, LogError
 from ...io import episodes
 from ...io.values import times
-from ..limits import LIMITS, Input
+from ..limits import LIMITS, Input, TableSize
 from ..records import Array, Finding
+from ..storage.compression import Allowance
 from ..topic_names import escape
+from . import hdf5_chunks
 from .episode_log import (
     ACTION,
     DTYPE,
@@ -29,12 +31,11 @@ from .episode_log import (
     Signal,
     Texts,
 )  # fmt: skip
-from .hdf5_file import Sets, attribute, opened, sets_of
+from .hdf5_file import Sets, attribute, is_bytes_list, opened, sets_of
 from .units import unit
 
-_MOST_ROWS, _MOST_VALUES = 1 << 24, 1 << 26
-_MOST_CHUNK = 256 << 20
-"""Bytes that HDF5 decompresses at once: one chunk of a dataset."""
+_ROW_BYTES = 32
+"""Bytes that the times of a row take while they are made."""
 _ALOHA_HZ = 50.0
 """Rate of ALOHA's recordings (DT = 0.02 s in its constants); its files hold no times."""
 _ALOHA_ARM = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper")
@@ -49,7 +50,7 @@ def open_hdf5(path: Path, strict: bool = False, limits: Input = LIMITS) -> Episo
     file, number = episodes.split(path)
     findings: list[Finding] = []
     with opened(file) as one:
-        found = sets_of(one, file, number, findings)
+        found = sets_of(one, file, number, findings, limits)
         episode = _episode(file, found, findings, limits)
     return EpisodeLog(path, episode, strict)
 
@@ -60,9 +61,9 @@ def _episode(path: Path, found: Sets, findings: list[Finding], limits: Input) ->
         some = ", ".join(list(found.sets)[:8]) or "none"
         text = "no qpos, joint_pos, action or images as ALOHA and robomimic keep them"
         raise LogError(f"{path}: {text}; its datasets are {some}")
-    if rows > _MOST_ROWS:
-        raise LogError(f"{path}: an episode of {rows} rows; at most {_MOST_ROWS} are read")
-    ns = _times(found, rows, findings)
+    size = TableSize(limits)
+    size.take(_ROW_BYTES * rows, f"{path}: the times of {rows} rows")
+    ns = _times(found, rows, findings, limits)
     streams: list[Signal | Texts | Camera] = []
     joints = next((name for name in found.sets if _JOINTS.search(name) and _is_numbers(found.sets[name])), None)
     lengths = {name: one.shape[0] for name, one in found.sets.items() if _is_row(one)}
@@ -72,7 +73,7 @@ def _episode(path: Path, found: Sets, findings: list[Finding], limits: Input) ->
             findings.append(Finding("warning", f"{name}: {lengths[name]} rows, {joints or 'the others'} {rows}"))
         if own is None or not len(own) or (_TIMES.search(name) and found.sets[name].ndim == 1):
             continue
-        streams += _stream(path, found, name, own, joints, findings, limits)
+        streams += _stream(path, found, name, own, joints, findings, limits, size)
     return Episode(found.format, streams, findings)
 
 
@@ -99,15 +100,19 @@ def _is_camera(name: str, one: Any) -> bool:
     if one.dtype == np.uint8 and one.ndim == 4:
         return one.shape[3] in (1, 3)
     return bool(re.search(r"image|rgb|cam", name)) and (
-        (one.dtype == np.uint8 and one.ndim == 2 and one.shape[1] > 64) or (one.dtype == object and one.ndim == 1)
+        (one.dtype == np.uint8 and one.ndim == 2 and one.shape[1] > 64) or (is_bytes_list(one) and one.ndim == 1)
     )
 
 
-def _times(found: Sets, rows: int, findings: list[Finding]) -> Array:
+def _times(found: Sets, rows: int, findings: list[Finding], limits: Input) -> Array:
     """Times of the steps (N,) int64 ns: a dataset of times, else step numbers at the known rate."""
     for name, one in found.sets.items():
         if (match := _TIMES.search(name)) and one.shape == (rows,) and one.dtype.kind in "fiu":
-            ns = _ns(one[()], match[4])
+            try:
+                ns = _ns(_column(name, one, limits), match[4])
+            except FormatError as problem:
+                findings.append(Finding("lost", str(problem)))
+                continue
             if ns is not None and (np.diff(ns) > 0).all():
                 return ns
             findings.append(Finding("warning", f"{name} does not rise in every row; not used"))
@@ -117,6 +122,14 @@ def _times(found: Sets, rows: int, findings: list[Finding]) -> Array:
         text = f"no times and no rate in the file; rows are dated at ALOHA's {_ALOHA_HZ:g} Hz"
         findings.append(Finding("warning", text))
     return EPOCH_NS + np.rint(np.arange(rows) / (found.rate or _ALOHA_HZ) * 1e9).astype(np.int64)
+
+
+def _column(name: str, one: Any, limits: Input) -> Array:
+    """All values of a dataset of one column, in its own type; FormatError where they may not be read."""
+    if reason := hdf5_chunks.refusal(one, limits):
+        raise FormatError(f"{name}: {reason}")
+    blocks = [rows for _, rows in hdf5_chunks.row_blocks(one, one.shape[0], limits)]
+    return np.concatenate(blocks) if blocks else np.empty(0, one.dtype)
 
 
 def _ns(values: Array, ending: str | None) -> Array | None:
@@ -133,8 +146,9 @@ def _ns(values: Array, ending: str | None) -> Array | None:
 
 
 def _stream(
-    path: Path, found: Sets, name: str, ns: Array, joints: str | None, findings: list[Finding], limits: Input
-) -> Iterator[Signal | Camera]:
+    path: Path, found: Sets, name: str, ns: Array, joints: str | None, findings: list[Finding], limits: Input,
+    size: TableSize,
+) -> Iterator[Signal | Camera]:  # fmt: skip
     one = found.sets[name]
     if _is_camera(name, one):
         yield from _camera(path, found, name, ns, findings, limits)
@@ -142,10 +156,14 @@ def _stream(
     if one.dtype.kind not in "fiub" or one.ndim > 3:
         findings.append(Finding("info", f"{name}: {one.dtype} of shape {one.shape}, which is not read"))
         return
-    if one.size > _MOST_VALUES or _chunk_bytes(one) > _MOST_CHUNK:
-        findings.append(Finding("lost", f"{name}: {one.size} numbers of shape {one.shape}; too many to be read"))
+    try:
+        size.take(8 * one.size, name)
+        if reason := hdf5_chunks.refusal(one, limits):
+            raise FormatError(f"{name}: {reason}")
+        values = hdf5_chunks.numbers(one, limits)
+    except InputError as problem:
+        findings.append(Finding("lost", str(problem)))
         return
-    values = np.asarray(one[()], float).reshape(len(ns), -1)
     short = re.sub(r"^(obs|observations)/", "", name)
     topic, kind = f"/{escape(short)}", VECTOR
     metadata = {FEATURE: _feature(name), DTYPE: str(one.dtype)}
@@ -180,54 +198,79 @@ def _names(count: int, form: str, of_joints: bool) -> tuple[str, ...]:
     return tuple(map(str, range(count)))
 
 
-def _chunk_bytes(one: Any) -> int:
-    """Bytes that HDF5 decompresses at once."""
-    if one.dtype == object:
-        return 0
-    return int(np.prod(one.chunks or (1,), dtype=float) * one.dtype.itemsize) if one.chunks else 0
-
-
 def _camera(path: Path, found: Sets, name: str, ns: Array, findings: list[Finding], limits: Input) -> Iterator[Camera]:
     one, short = found.sets[name], re.sub(r"^.*?(images?)/", "", name)
     topic = f"/{escape(re.sub(r'^(obs|observations)/', '', short).removesuffix('_image'))}"
     metadata = {FEATURE: f"observation.images.{topic[1:].replace('/', '.')}"}
     place = f"{found.group}/{name}"
-    if one.ndim == 4:
-        height, width = one.shape[1:3]
-        if not 0 < height * width <= limits.max_image_mpx * 1e6 or _chunk_bytes(one) > _MOST_CHUNK:
-            text = f"{name}: images of {width} x {height} in chunks of {_chunk_bytes(one)} bytes"
-            findings.append(Finding("lost", f"{text}; too large to be read"))
-            return
-        yield Camera(f"{topic}/image", ns, partial(_raw, path, place, len(ns)), (width, height), "", metadata)
+    if len(ns) > limits.max_frames:
+        asked = f"to read them, type in robot.toml: [input] max_frames = {len(ns)}"
+        findings.append(Finding("lost", f"{name}: {len(ns)} images; {asked}"))
         return
-    if _chunk_bytes(one) > _MOST_CHUNK:
-        findings.append(Finding("lost", f"{name}: chunks of {_chunk_bytes(one)} bytes; too large to be read"))
-        return
-    yield Camera(f"{topic}/image/compressed", ns, partial(_packed, path, place, len(ns)), None, "jpeg", metadata)
+    height, width = one.shape[1:3] if one.ndim == 4 else (0, 0)
+    too_wide = one.ndim == 4 and not 0 < height * width <= limits.max_image_mpx * 1e6
+    if too_wide or (one.ndim == 2 and one.shape[1] > limits.max_message_mb * 1e6):
+        findings.append(Finding("lost", f"{name}: images of shape {one.shape[1:]}; too large to be read"))
+    elif reason := hdf5_chunks.refusal(one, limits):
+        findings.append(Finding("lost", f"{name}: {reason}"))
+    elif one.ndim == 4:
+        read = partial(_raw, path, place, len(ns), limits)
+        yield Camera(f"{topic}/image", ns, read, (width, height), "", metadata)
+    else:
+        read = partial(_packed, path, place, len(ns), limits)
+        yield Camera(f"{topic}/image/compressed", ns, read, None, "jpeg", metadata)
 
 
-def _raw(path: Path, place: str, count: int) -> Iterator[Item]:
+def _raw(path: Path, place: str, count: int, limits: Input) -> Iterator[Item]:
     """RGB images (T,H,W,3), or grey ones, row by row, as BGR."""
-    for number, image in _rows_of(path, place, count):
+    for number, image in _rows_of(path, place, count, limits):
         if image is not None:
             image = np.ascontiguousarray(np.broadcast_to(image, (*image.shape[:2], 3))[:, :, ::-1])
         yield number, image
 
 
-def _packed(path: Path, place: str, count: int) -> Iterator[Item]:
+def _packed(path: Path, place: str, count: int, limits: Input) -> Iterator[Item]:
     """JPEG or PNG images row by row, without the zeros that pad a row."""
-    for number, row in _rows_of(path, place, count):
+    for number, row in _rows_of(path, place, count, limits):
         data = b"" if row is None else np.asarray(row, np.uint8).tobytes().rstrip(b"\0")
         yield number, data or None
 
 
-def _rows_of(path: Path, place: str, count: int) -> Iterator[tuple[int, Array | None]]:
-    """The rows of a dataset; None for unreadable ones."""
+def _rows_of(path: Path, place: str, count: int, limits: Input) -> Iterator[tuple[int, Array | None]]:
+    """The rows of a dataset; None for unreadable ones; LogError where they are more than a file may unpack to."""
+    allowance, packed, unpacked = Allowance(path, limits), path.stat().st_size, 0
     with opened(path) as file:
         one = file[place]
-        for number in range(count):
-            try:
-                row = one[number]
-            except (OSError, RuntimeError, ValueError):
-                row = None
-            yield number, row
+        for first, rows in _blocks(one, count, limits):
+            for number, row in enumerate(rows, first):
+                unpacked += 0 if row is None else row.nbytes
+                allowance.check(packed, unpacked)
+                yield number, row
+
+
+def _blocks(one: Any, count: int, limits: Input) -> Iterator[tuple[int, Sequence[Array | None]]]:
+    """Rows by blocks; of a block that cannot be read, row by row; one by one if their size is in each row."""
+    if is_bytes_list(one):
+        yield from ((number, [_row(one, number)]) for number in range(count))
+        return
+    blocks, at = hdf5_chunks.row_blocks(one, count, limits), 0
+    while at < count:
+        try:
+            first, rows = next(blocks)
+        except FormatError:
+            raise
+        except (OSError, RuntimeError, ValueError):
+            end = min(at + hdf5_chunks.rows_at_once(one), count)
+            yield from ((number, [_row(one, number)]) for number in range(at, end))
+            at, blocks = end, hdf5_chunks.row_blocks(one, count, limits, end)
+            continue
+        yield first, list(rows)
+        at = first + len(rows)
+
+
+def _row(one: Any, number: int) -> Array | None:
+    """A row, or None if it cannot be read."""
+    try:
+        return np.asarray(one[number])
+    except (OSError, RuntimeError, ValueError):
+        return None

@@ -7,14 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...errors import FormatError, LogError
 from ...io.values import read_json
+from ..limits import LIMITS, Input
 from ..records import Finding
 from .extra import require_module
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
-_MOST_SETS = 2000
 _DEEPEST = 6
+_MOST_DEMOS = 1_000_000
+_LINKS_A_SET = 10
+"""Links that are looked at for each dataset that an episode may have."""
 _DEMO = re.compile(r"demo_(\d{1,9})$")
 
 
@@ -48,18 +53,18 @@ def opened(path: Path) -> Iterator[Any]:
 
 def _demos(file: Any) -> tuple[int, ...]:
     data = _member(file, "data")
-    names = list(data.keys())[:1_000_000] if data is not None and hasattr(data, "keys") else []
+    names = _names(data, _MOST_DEMOS) if data is not None and hasattr(data, "keys") else []
     return tuple(sorted(int(match[1]) for name in names if (match := _DEMO.fullmatch(name))))
 
 
-def sets_of(file: Any, path: Path, number: int | None, findings: list[Finding]) -> Sets:
-    """The datasets of the episode; LogError if that episode, or any, is missing."""
+def sets_of(file: Any, path: Path, number: int | None, findings: list[Finding], limits: Input = LIMITS) -> Sets:
+    """The datasets of the episode; LogError if that episode, or any, is missing, or it has too many datasets."""
     demos = _demos(file)
     if not demos:
         if number:
             raise LogError(f"{path}: no episode {number}; the file holds one, number 0")
         rate = _rate(attribute(file, "fps")) or _rate(attribute(file, "hz"))
-        return Sets("", _walk(file), rate, "hdf5")
+        return Sets("", _walk(file, limits), rate, "hdf5")
     asked, number = number, demos[0] if number is None else number
     if number not in demos:
         some = ", ".join(map(str, demos[:12]))
@@ -68,23 +73,53 @@ def sets_of(file: Any, path: Path, number: int | None, findings: list[Finding]) 
         some = f"episode {number}, the first of {len(demos)}; for another, type: --episode {demos[1]}"
         findings.append(Finding("info", some))
     group = f"data/demo_{number}"
-    return Sets(group, _walk(file[group]), _control_rate(file["data"]), "robomimic")
+    demo = _member(file["data"], f"demo_{number}")
+    if demo is None or not hasattr(demo, "keys"):
+        raise LogError(f"{path}: {group} is a link out of this file, or no group; give the file that holds it")
+    return Sets(group, _walk(demo, limits), _control_rate(file["data"]), "robomimic")
 
 
-def _walk(group: Any, before: str = "", depth: int = 0) -> dict[str, Any]:
-    """The datasets below a group that are in the file itself: no links, no external data."""
+def _walk(top: Any, limits: Input) -> dict[str, Any]:
+    """The datasets below a group that are in the file itself, each once: no links, no external data.
+
+    Names of the file's own objects (hard links) may lead in a circle, or to one object in many ways.
+    """
     found: dict[str, Any] = {}
-    for name in list(group.keys())[:_MOST_SETS]:
-        one = _member(group, name)
-        if one is None:
-            continue
-        if hasattr(one, "keys"):
-            found |= _walk(one, f"{before}{name}/", depth + 1) if depth < _DEEPEST else {}
-        elif _is_own(one):
-            found[f"{before}{name}"] = one
-    if len(found) > _MOST_SETS:
-        raise ValueError(f"more than {_MOST_SETS} datasets in one episode")
+    seen, left, budget = {_object(top)}, [(top, "", 0)], _LINKS_A_SET * limits.max_datasets
+    while left:
+        group, before, depth = left.pop()
+        for name in _names(group, budget + 1):
+            budget -= 1
+            one = _member(group, name)
+            if one is None or _object(one) in seen:
+                continue
+            seen.add(_object(one))
+            if hasattr(one, "keys"):
+                left += [(one, f"{before}{name}/", depth + 1)] if depth < _DEEPEST else []
+            elif _is_own(one):
+                found[f"{before}{name}"] = one
+        if budget < 0 or len(found) > limits.max_datasets:
+            asked = f"type in robot.toml: [input] max_datasets = {10 * limits.max_datasets}"
+            raise LogError(f"{top.file.filename}: more than {limits.max_datasets} datasets in one episode; {asked}")
+    return dict(sorted(found.items(), key=lambda one: one[0].split("/")))
+
+
+def _names(group: Any, most: int) -> list[str]:
+    """The names in a group, `most` at most."""
+    found: list[str] = []
+
+    def keep(name: bytes) -> bool | None:
+        found.append(name.decode("utf-8", "surrogateescape"))
+        return True if len(found) >= most else None
+
+    group.id.links.iterate(keep)
     return found
+
+
+def _object(one: Any) -> tuple[int, int]:
+    """What identifies an object of a file, whatever it is called there."""
+    about = require_module("h5py", Path(one.file.filename)).h5o.get_info(one.id)
+    return int(about.fileno), int(about.addr)
 
 
 def _is_own(one: Any) -> bool:
@@ -103,12 +138,20 @@ def attribute(one: Any, name: str) -> Any:
         return None
 
 
+def is_bytes_list(one: Any) -> bool:
+    """Whether each row is a list of bytes, of a length of its own: not a text, and no reference to an object."""
+    h5py = require_module("h5py", Path(one.file.filename))
+    return bool(one.dtype == object and h5py.check_vlen_dtype(one.dtype) == np.uint8)
+
+
 def _member(group: Any, name: str) -> Any:
-    """The object of that name, unless it is a link out of the file."""
-    if name not in group:
+    """The object of that name, unless it is missing or a link, which may lead out of the file: none is followed."""
+    h5py = require_module("h5py", Path(group.file.filename))
+    links = group.id.links
+    raw = name.encode("utf-8", "surrogateescape")
+    if not links.exists(raw) or links.get_info(raw).type != h5py.h5l.TYPE_HARD:
         return None
-    link = group.get(name, getlink=True)
-    return group[name] if type(link).__name__ == "HardLink" else None
+    return group[raw]
 
 
 def _rate(value: Any) -> float | None:
