@@ -1,6 +1,5 @@
 """Default features of a log without configured ones: a body's own, or whatever moves with the joints."""
 
-import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from .body_model import BodyModel
 from .errors import ConfigError
 from .io.toml_keys import toml_value
+from .io.values import read_json
 from .settings import Colours, Settings
 from .sources import Source, check_colour, parse, spelled
 from .types import Features, Finding, Recording
@@ -33,7 +33,7 @@ def of_body(learned: BodyModel, settings: Settings) -> Settings:
         return settings
     stored: Any = {}
     with suppress(ValueError, KeyError, TypeError):
-        stored = json.loads(learned.provenance["settings"])
+        stored = read_json(learned.provenance["settings"])
     with suppress(ConfigError, AttributeError, TypeError):
         features = {str(name): parse(str(name), value, "body") for name, value in stored.get("features", {}).items()}
         colours = stored.get("colours", {})

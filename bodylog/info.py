@@ -41,7 +41,7 @@ def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
     from .logs.library import local_path
     from .recording import facts
 
-    with local_path(url) as path:
+    with local_path(url, settings.input.max_wait_s) as path:
         found = facts.info(path, settings, settings.input.strict)
     findings = [{**one, "text": one["text"].replace(str(path), url)} for one in found["findings"]]
     return found | {"path": url, "findings": findings}

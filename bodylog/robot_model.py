@@ -51,10 +51,10 @@ def robot(
         return Robotics(known, _hints(known, descriptions, features, settings), 0.0, True, 0.0), ()
     texts = [(log, one.urdf) for log, one in zip(logs, descriptions, strict=True) if one.urdf]
     if chosen.urdf not in (None, FROM_LOG):
-        found = urdf.load(Path(str(chosen.urdf)))
+        found = urdf.load(Path(str(chosen.urdf)), settings.input)
     elif texts:
         try:
-            found = _from_log(*texts[0])
+            found = _from_log(*texts[0], settings)
         except (FormatError, ModelError) as problem:
             if chosen.urdf is not None:
                 raise
@@ -123,7 +123,7 @@ def check(logs: Sequence[Path], settings: Settings) -> None:
     from .kinematics import urdf
     from .recording.robot_description import described
 
-    found = urdf.load(Path(str(chosen.urdf)))
+    found = urdf.load(Path(str(chosen.urdf)), settings.input)
     for log in logs:
         names = described(log, settings.input).joints
         if names and not set(names) & set(found.by_name):
@@ -143,9 +143,9 @@ def limits(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":
     if not chosen.use:
         return {}, ""
     if chosen.urdf not in (None, FROM_LOG):
-        found, source = urdf.load(Path(str(chosen.urdf))), str(chosen.urdf)
+        found, source = urdf.load(Path(str(chosen.urdf)), settings.input), str(chosen.urdf)
     elif text := described(log, settings.input).urdf:
-        found, source = _from_log(log, text), "/robot_description"
+        found, source = _from_log(log, text, settings), "/robot_description"
     elif chosen.urdf == FROM_LOG:
         raise LogError(_NO_URDF.format(log))
     else:
@@ -156,10 +156,10 @@ def limits(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":
 _NO_URDF = "{}: no /robot_description in it; give the URDF's file: --urdf ROBOT.urdf"
 
 
-def _from_log(log: Path, text: str) -> "Robot":
+def _from_log(log: Path, text: str, settings: Settings) -> "Robot":
     from .kinematics import urdf
 
-    return urdf.parse(text, f"{log}: /robot_description")
+    return urdf.parse(text, f"{log}: /robot_description", settings.input)
 
 
 def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features]) -> BodyModel:

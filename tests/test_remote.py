@@ -117,9 +117,9 @@ def test_mapped_remote_reads_no_images_for_info(tmp_path, monkeypatch):
     ], chunk=1 << 22)  # fmt: skip
     brought, part = [], remote.read_range
 
-    def counted(url, start, end):
+    def counted(url, start, end, *wait_s):
         brought.append(end - start)
-        return part(url, start, end)
+        return part(url, start, end, *wait_s)
 
     monkeypatch.setattr(remote, "read_range", counted)
     described = info.info(log.as_uri(), Settings())

@@ -101,12 +101,19 @@ def _planned(plan: Plan) -> tuple[list[Job], set[str]]:
         if group.body is not None:
             _check(group.body, group.settings, checked)
     folders.mark(plan.out, folders.BATCH)
+    folders.claim(plan.out, _named(plan, logs))
     whole, names = [], set[str]()
     for group, found, share in zip(plan.groups, logs, shares, strict=True):
         before = f"{group.name}/" if group.name else ""
         whole += _jobs(plan, group, found, before)
         names.update(before + name for name in share)
     return whole, names
+
+
+def _named(plan: Plan, logs: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """The logs of all groups by the names of their rows."""
+    pairs = zip(plan.groups, logs, strict=True)
+    return {f"{group.name}/{name}" if group.name else name: log for group, some in pairs for name, log in some.items()}
 
 
 def _path(log: str) -> Path | None:

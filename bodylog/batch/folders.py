@@ -2,6 +2,8 @@
 
 import fcntl
 import hashlib
+import json
+import os
 import re
 import unicodedata
 from collections import Counter
@@ -10,7 +12,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import OutputError, UsageError
+from ..io import episodes, remote
 from ..io.atomic_files import ensure_dir
+from ..io.values import read_json
 
 BATCH = ".bodylog-batch"
 """Marks a folder that holds the results of a batch."""
@@ -100,6 +104,44 @@ def mark(folder: Path, name: str) -> Path:
     if name == RESULT:
         (folder / _OLD_LOCK).unlink(missing_ok=True)
     return folder
+
+
+def claim(folder: Path, logs: Mapping[str, str]) -> None:
+    """Note in a marked folder whose results it holds, {name: log}; UsageError where it holds those of other logs.
+
+    Summaries name the logs of one batch, so that another batch's rows would vanish from them.
+    """
+    with alone(folder, BATCH):
+        others = [log for name, log in claimed(folder).items() if _is_other(name, log, logs)]
+        if others:
+            what = f"{len(others)} logs that this batch does not name, as {others[0]}"
+            raise UsageError(f"{folder}: it holds the results of {what}; type another -o, or name all of them")
+        text = json.dumps({name: _place(log) for name, log in sorted(logs.items())}, ensure_ascii=True)
+        (folder / BATCH).write_text(text, encoding="ascii")
+
+
+def claimed(folder: Path) -> dict[str, str]:
+    """The logs whose results a marked folder holds, by name; empty if no batch noted them."""
+    try:
+        found = read_json((folder / BATCH).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return {name: str(log) for name, log in found.items()} if isinstance(found, dict) else {}
+
+
+def _is_other(name: str, log: str, logs: Mapping[str, str]) -> bool:
+    """Whether a log of an earlier batch has no row in this one, though it is still there."""
+    same = name in logs and _place(logs[name]) == log
+    return not same and (remote.is_url(log) or episodes.base(Path(log)).exists())
+
+
+def _place(log: str) -> str:
+    return log if remote.is_url(log) else os.path.abspath(log)
+
+
+def is_claimed(folder: Path, logs: Mapping[str, str]) -> bool:
+    """Whether the folder still holds the results of these logs, and of no others."""
+    return claimed(folder) == {name: _place(log) for name, log in logs.items()}
 
 
 @contextmanager

@@ -30,6 +30,8 @@ class Journal:
     def add(self, row: Row) -> None:
         """Append a row, or put all together again where another shard did so meanwhile."""
         with folders.alone(self._out, folders.BATCH):
+            if self._is_superseded():
+                return
             if not self._path.is_file() or self._state() != self._seen:
                 self._rewrite()
                 return
@@ -43,7 +45,13 @@ class Journal:
         while rows is None or rows != self._rows():
             with folders.alone(self._out, folders.BATCH):
                 rows = self._rows()
+                if self._is_superseded():
+                    return
                 write(self._out, rows)
+
+    def _is_superseded(self) -> bool:
+        """Whether a batch of these and more logs began in the folder meanwhile: it writes all rows."""
+        return not folders.is_claimed(self._out, {job.name: job.log for job in self._whole})
 
     def _rows(self) -> list[Row]:
         """This shard's rows, and what others left that was done as this one does it."""

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,8 @@ from .. import pipeline
 from ..errors import BodylogError, LogError, ModelError, UsageError
 from ..io import episodes, remote
 from ..io.atomic_files import replacing, sha256
+from ..io.atomic_files import text as read_text
+from ..io.values import read_json
 from ..logs.episode_files import digest
 from ..score_names import FIGURES, split
 from ..settings import Settings, plain
@@ -17,6 +19,8 @@ from ..version import __version__
 from .folders import RESULT, ROW, mark
 from .jobs import KEYS, Job, Row
 
+_LONGEST = 64 << 20
+"""Bytes of a row."""
 HOW = "how"
 """Key of row.json: a digest of everything but the log that the row depends on."""
 ODD = "backslashreplace"
@@ -25,7 +29,8 @@ ODD = "backslashreplace"
 
 def key(job: Job) -> str:
     """Digest of what a log's outputs depend on: log (a URL: its identity), body, settings, bounds, version."""
-    log = remote.identity(job.log) if remote.is_url(job.log) else digest(Path(job.log))
+    wait_s = job.settings.input.max_wait_s
+    log = remote.identity(job.log, wait_s) if remote.is_url(job.log) else digest(Path(job.log))
     parts = [log, sha256(job.body), plain(job.settings), list(job.bounds), __version__]
     return _digest(parts)
 
@@ -65,8 +70,30 @@ def finished(job: Job) -> Row | None:
 
 def _is_current(row: Row) -> bool:
     """Whether a row has the keys of this version's rows, and its scores their names."""
-    scores = row.get("scores")
-    return row.keys() >= KEYS and isinstance(scores, dict) and all(split(name)[0] in FIGURES for name in scores)
+    if not row.keys() >= KEYS or not all(isinstance(row[name], kind) for name, kind in _KINDS.items()):
+        return False
+    digests = all(isinstance(digest, str) for digest in row["outputs"].values())
+    numbers = all(isinstance(value, float | int | None) for value in row["scores"].values())
+    return digests and numbers and all(split(name)[0] in FIGURES for name in row["scores"])
+
+
+_KINDS: Mapping[str, Any] = {
+    "name": str,
+    "log": str,
+    "key": str | None,
+    "status": str,
+    "exit_code": int,
+    "error": str | None,
+    "messages": int | None,
+    "outputs": dict,
+    "scores": dict,
+    "used": dict,
+    "verdict": list,
+    "faults": list,
+    "health": dict,
+    "findings": list,
+}
+"""The kinds of a row's values; a file between two runs may hold anything."""
 
 
 def _plain(row: Row) -> Row:
@@ -82,7 +109,7 @@ def _key_or_none(job: Job) -> str | None:
 
 def _read(path: Path) -> Row | None:
     try:
-        row = json.loads(path.read_text(encoding="utf-8"))
+        row = read_json(read_text(path, _LONGEST))
     except (OSError, ValueError):
         return None
     return row if isinstance(row, dict) and "outputs" in row else None
@@ -151,7 +178,7 @@ def _loads(body: Path) -> bool:
 
 def _read_mark(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return read_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
 

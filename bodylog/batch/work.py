@@ -98,7 +98,7 @@ def _attempt(job: Job) -> Row:
 def _estimate(job: Job) -> dict[str, Any]:
     """Keywords of `_row`; a broken bound is an exit code of the row."""
     annotated = job.folder / "annotated.mcap"
-    with remote.local(job.log, job.folder) as log:
+    with remote.local(job.log, job.folder, job.settings.input.max_wait_s) as log:
         result = pipeline.estimate(log, job.body, annotated, job.settings)
         about = tuple(replace(one, text=one.text.replace(str(log), job.log)) for one in result.findings)
         result = replace(result, findings=about)

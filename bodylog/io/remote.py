@@ -2,7 +2,7 @@
 
 import posixpath
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,15 @@ from .outputs import METADATA, RECORDED
 
 _MARGIN = 256 << 20
 _BLOCK = 4 << 20
+WAIT_S = 20.0
+"""s without an answer from a server, where there are no settings."""
+_SLOWEST = 10_000
+"""Bytes a second: a server that sends less is given up."""
+_LONGEST_PAGE = 16 << 20
+_MOST_PAGES = 1000
+"""Folders of a web server that are searched for logs; each is a page of links, which may go on for ever."""
+_LARGEST = 1 << 50
+_WEB = ("http", "https")
 
 
 def is_url(text: str) -> bool:
@@ -21,11 +30,15 @@ def is_url(text: str) -> bool:
     return bool(colon) and scheme.isalnum()
 
 
-def expand(url: str, suffixes: tuple[str, ...]) -> tuple[str, ...]:
+def expand(url: str, suffixes: tuple[str, ...], wait_s: float = WAIT_S) -> tuple[str, ...]:
     """The URLs of logs under a URL: itself, or the matches of its pattern or folder; LogError without any."""
-    with _store_errors(url):
-        store, path = _store(url)
-        if any(sign in path for sign in "*["):
+    with _store_errors(url, wait_s):
+        store, path = _store(url, wait_s)
+        if _is_web(url):
+            if not any(sign in path for sign in "*[") and not store.isdir(path):
+                return (url,)
+            found = [entry for entry in _linked(store, path, wait_s) if entry.endswith(suffixes)]
+        elif any(sign in path for sign in "*["):
             found = [entry for entry in store.glob(path) if entry.endswith(suffixes)]
         elif store.isdir(path) and not store.isfile(path):
             found = [entry for entry in store.find(path) if entry.endswith(suffixes)]
@@ -45,31 +58,63 @@ def name_of(url: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "log"
 
 
+def _is_web(url: str) -> bool:
+    return url.partition("://")[0].lower() in _WEB
+
+
+def _linked(store: Any, top: str, wait_s: float) -> list[str]:
+    """The files that the pages below an address link to, or that match its pattern; LogError if there is no end."""
+    import time
+
+    from fsspec.utils import glob_translate
+
+    begin = re.split(r"[*\[]", top)[0]
+    pattern = re.compile(glob_translate(top)) if begin != top else None
+    left, seen, found = [begin.rpartition("/")[0] + "/" if pattern else top], set[str](), list[str]()
+    until = time.monotonic() + 10.0 * wait_s
+    while left:
+        page = left.pop()
+        if page in seen:
+            continue
+        seen.add(page)
+        if len(seen) > _MOST_PAGES or time.monotonic() > until:
+            raise LogError(f"{top}: its pages of links have no end; name a folder nearer to the logs")
+        for entry in store.ls(page, detail=True):
+            name = str(entry["name"])
+            if name.endswith("/"):
+                left.append(name)
+            elif pattern is None or pattern.match(name):
+                found.append(name)
+    return found
+
+
 def file_behind(url: str) -> Path | None:
     """The local file of a URL (file://, local://); None for any other."""
     if url.partition("://")[0].lower() not in ("file", "local"):
         return None
-    with _store_errors(url):
-        return Path(_store(url)[1])
+    with _store_errors(url, WAIT_S):
+        return Path(_store(url, WAIT_S)[1])
 
 
-def size(url: str) -> int:
-    """Bytes behind a URL, 0 for a folder; LogError if unknown or unreachable."""
-    with _store_errors(url):
-        store, path = _store(url)
+def size(url: str, wait_s: float = WAIT_S) -> int:
+    """Bytes behind a URL, 0 for a folder; LogError if unknown, impossible or unreachable."""
+    with _store_errors(url, wait_s):
+        store, path = _store(url, wait_s)
         details = store.info(path)
     if _is_folder(details):
         return 0
     found = details.get("size")
     if found is None:
         raise LogError(f"{url}: its server does not give its size; download it and give the file")
+    if not 0 <= int(found) <= _LARGEST:
+        raise LogError(f"{url}: its server announces {int(found)} bytes; check the address")
     return int(found)
 
 
-def identity(url: str) -> str:
+def identity(url: str, wait_s: float = WAIT_S) -> str:
     """A digest of a remote file's metadata (size and tag or date): it changes with the file."""
-    with _store_errors(url):
-        store, path = _store(url)
+    with _store_errors(url, wait_s):
+        store, path = _store(url, wait_s)
         details = store.info(path)
     telling = ("size", "ETag", "etag", "mtime", "LastModified", "last_modified", "created", "md5", "sha256")
     from hashlib import sha256
@@ -77,15 +122,65 @@ def identity(url: str) -> str:
     return sha256(repr([url, *((key, str(details.get(key))) for key in telling)]).encode()).hexdigest()
 
 
-def read_range(url: str, start: int, end: int) -> bytes:
-    """The bytes of a file from `start` to before `end`; the whole file if the server does not support ranges."""
-    with _store_errors(url):
-        store, path = _store(url)
-        return bytes(store.cat_file(path, start=start, end=end))
+def read_range(url: str, start: int, end: int, wait_s: float = WAIT_S) -> bytes:
+    """The bytes of a file from `start` to before `end`, or fewer; LogError where a web server does not send a range."""
+    with _store_errors(url, wait_s):
+        store, path = _store(url, wait_s)
+        if not _is_web(url):
+            return bytes(store.cat_file(path, start=start, end=end))
+        found = bytearray()
+        if not _send(store, path, (start, end), wait_s, found.extend):
+            raise LogError(f"{url}: its server does not send parts of files; download it and give the file")
+        return bytes(found)
+
+
+def begin(url: str, count: int, wait_s: float = WAIT_S) -> tuple[bytes, bool]:
+    """The first `count` bytes of a file, and whether its server sends parts of files."""
+    if not _is_web(url):
+        return read_range(url, 0, count, wait_s), True
+    with _store_errors(url, wait_s):
+        store, path = _store(url, wait_s)
+        found = bytearray()
+        in_parts = _send(store, path, (0, count), wait_s, found.extend, whole=True)
+        return bytes(found[:count]), in_parts
+
+
+def _send(
+    store: Any, url: str, part: tuple[int, int], wait_s: float, take: Callable[[bytes], object], whole: bool = False
+) -> bool:
+    """Give the bytes of a web server's file to `take`, as many as asked for at most; whether they are that part.
+
+    A server may ignore which part is asked for, send more, or hardly anything. With `whole`, the beginning of the
+    whole file will do.
+    """
+    from fsspec import asyn
+
+    async def receive() -> bool:
+        import aiohttp
+
+        start, end = part
+        patience = aiohttp.ClientTimeout(total=wait_s + (end - start) / _SLOWEST, sock_read=wait_s)
+        asked = {"Range": f"bytes={start}-{end - 1}", "Accept-Encoding": "identity"}
+        session = await store.set_session()
+        async with session.get(store.encode_url(url), headers=asked, timeout=patience) as answer:
+            store._raise_not_found_for_status(answer, url)
+            answer.raise_for_status()
+            if answer.status != 206 and not whole:
+                return False
+            left = end - start
+            async for piece in answer.content.iter_chunked(_BLOCK):
+                take(piece[:left])
+                left -= len(piece)
+                if left <= 0:
+                    answer.close()
+                    break
+            return bool(answer.status == 206)
+
+    return bool(asyn.sync(store.loop, receive))
 
 
 @contextmanager
-def local(source: str, folder: Path) -> Iterator[Path]:
+def local(source: str, folder: Path, wait_s: float = WAIT_S) -> Iterator[Path]:
     """A local path for a file or folder: its own, or for a URL a copy in `folder` that is removed afterwards."""
     if not is_url(source):
         yield Path(source)
@@ -93,7 +188,7 @@ def local(source: str, folder: Path) -> Iterator[Path]:
     with temporary.scratch(atomic_files.ensure_dir(folder)) as beside:
         path = beside / name_of(source)
         with errors_about(path, source):
-            yield _fetch(source, path)
+            yield _fetch(source, path, wait_s)
 
 
 @contextmanager
@@ -110,12 +205,12 @@ def _is_folder(details: Mapping[str, Any]) -> bool:
     return details.get("type") == "directory" or details.get("mimetype") == "text/html"
 
 
-def _fetch(url: str, path: Path) -> Path:
+def _fetch(url: str, path: Path, wait_s: float) -> Path:
     """Copy a file, or the log files of a folder (rosbag2), to `path`."""
-    with _store_errors(url):
-        store, remote = _store(url)
+    with _store_errors(url, wait_s):
+        store, remote = _store(url, wait_s)
         if not _is_folder(store.info(remote)):
-            return _fetch_file(url, path)
+            return _fetch_file(url, path, wait_s)
         entries = sorted(store.unstrip_protocol(entry) for entry in store.ls(remote, detail=False))
     inside = [entry for entry in entries if entry.rpartition("/")[0] == url.rstrip("/")]
     wanted = [entry for entry in inside if entry.endswith((*RECORDED, f"/{METADATA}"))]
@@ -123,45 +218,79 @@ def _fetch(url: str, path: Path) -> Path:
         raise LogError(f"{url}: a folder or page without {METADATA}, so no rosbag2 log; give the address of a log")
     path.mkdir()
     for entry in wanted:
-        _fetch_file(entry, path / name_of(entry))
+        _fetch_file(entry, path / name_of(entry), wait_s)
     return path
 
 
-def _fetch_file(url: str, path: Path) -> Path:
+def _fetch_file(url: str, path: Path, wait_s: float) -> Path:
     import shutil
 
-    wanted, free = size(url), shutil.disk_usage(path.parent).free - _MARGIN
+    wanted = size(url, wait_s)
+    free = shutil.disk_usage(path.parent).free - _MARGIN
     if wanted > free:
         raise LogError(f"{url}: {wanted} bytes, where {free} are free in {path.parent}; give a folder with more room")
-    with _store_errors(url):
-        store, remote = _store(url)
-        with store.open(remote, "rb", block_size=_BLOCK, cache_type="readahead") as source, path.open("wb") as target:
-            shutil.copyfileobj(source, target, _BLOCK)
+    with _store_errors(url, wait_s), path.open("wb") as target:
+        store, remote = _store(url, wait_s)
+        if not _is_web(url):
+            with store.open(remote, "rb", block_size=_BLOCK, cache_type="readahead") as source:
+                shutil.copyfileobj(source, target, _BLOCK)
+        elif wanted:
+            _send(store, remote, (0, wanted), wait_s, target.write, whole=True)
     if path.stat().st_size != wanted:
         raise LogError(f"{url}: {path.stat().st_size} bytes arrived, {wanted} were announced; try again")
     return path
 
 
-def _store(url: str) -> tuple[Any, str]:
+def _store(url: str, wait_s: float) -> tuple[Any, str]:
     try:
         import fsspec
     except ImportError as err:
         raise UsageError("a URL as a log needs fsspec; type: pip install 'bodylog[cloud]'") from err
-    store, path = fsspec.core.url_to_fs(url)
+    options: dict[str, Any] = {}
+    if _is_web(url):
+        import aiohttp
+
+        patience = aiohttp.ClientTimeout(total=wait_s)
+        options = {"get_client": _session, "client_kwargs": {"timeout": patience}}
+    store, path = fsspec.core.url_to_fs(url, **options)
     return store, str(path)
 
 
+async def _session(**options: Any) -> Any:
+    """A session of which no answer takes more than _LONGEST_PAGE, where it is read as a whole."""
+    import aiohttp
+
+    class Page(aiohttp.ClientResponse):
+        async def read(self) -> bytes:
+            if self._body is None:
+                found = bytearray()
+                async for piece in self.content.iter_any():
+                    found += piece
+                    if len(found) > _LONGEST_PAGE:
+                        self.close()
+                        raise ValueError(f"a page of more than {_LONGEST_PAGE} bytes")
+                self._body = bytes(found)
+            return self._body
+
+    return aiohttp.ClientSession(response_class=Page, **options)
+
+
 @contextmanager
-def _store_errors(url: str) -> Iterator[None]:
+def _store_errors(url: str, wait_s: float) -> Iterator[None]:
     """Turn any exception of a store's own library into one line."""
     try:
         yield
     except (LogError, UsageError):
         raise
-    except FileNotFoundError:
-        raise LogError(f"{url}: there is no such file; check the address") from None
     except ImportError as err:
         raise UsageError(f"{url}: {err}") from None
     except Exception as err:  # each store has its own exceptions, without a common base
-        text = " ".join(str(err).split()) or type(err).__name__
+        # a store may call a file missing because of any error, as no answer
+        cause = err.__cause__ if isinstance(err, FileNotFoundError) and err.__cause__ is not None else err
+        if isinstance(cause, TimeoutError):
+            asked = f"to wait longer, type in robot.toml: [input] max_wait_s = {round(10 * wait_s)}"
+            raise LogError(f"{url}: its server did not answer within {wait_s:g} s; {asked}") from None
+        if isinstance(cause, FileNotFoundError) or getattr(cause, "status", None) in (404, 410):
+            raise LogError(f"{url}: there is no such file; check the address") from None
+        text = " ".join(str(cause).split()) or type(cause).__name__
         raise LogError(f"{url}: it cannot be read: {text}") from None

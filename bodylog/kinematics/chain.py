@@ -116,15 +116,15 @@ def _upwards(robot: Robot, link: str) -> list[Joint]:
 
 
 def _chained(robot: Robot, start: str, end: str, ways: Sequence[tuple[Joint, int]]) -> Chain:
-    fixed, steps, names = [np.eye(4)], list[tuple[int, float, float, bool]](), list[str]()
+    fixed, steps = [np.eye(4)], list[tuple[int, float, float, bool]]()
+    names: dict[str, int] = {}
     for joint, way in ways:
         before, after = (joint.origin, np.eye(4)) if way > 0 else (np.eye(4), inverse(joint.origin))
         if joint.kind in MOVING:
             tilt = transform(from_z(joint.axis), np.zeros(3))
-            name, scale, zero = _driven(robot, joint)
-            if name not in names:
-                names.append(name)
-            steps.append((names.index(name), way * scale, way * zero, joint.kind == "prismatic"))
+            name, scale, zero = robot.driven[joint.name]
+            column = names.setdefault(name, len(names))
+            steps.append((column, way * scale, way * zero, joint.kind == "prismatic"))
             fixed[-1] = fixed[-1] @ before @ tilt
             fixed.append(tilt.T @ after)
         elif joint.kind == "fixed":
@@ -135,15 +135,6 @@ def _chained(robot: Robot, start: str, end: str, ways: Sequence[tuple[Joint, int
     columns = [np.array(part) for part in zip(*steps, strict=True)] or [np.empty(0)] * 4
     kinds = (np.int64, float, float, bool)
     return Chain(start, end, tuple(names), np.array(fixed), *(c.astype(k) for c, k in zip(columns, kinds, strict=True)))
-
-
-def _driven(robot: Robot, joint: Joint) -> tuple[str, float, float]:
-    """The joint that a mimic joint follows, with angle = scale · its angle + zero."""
-    scale, zero = 1.0, 0.0
-    while joint.mimic is not None:
-        scale, zero = scale * joint.mimic.multiplier, zero + scale * joint.mimic.offset
-        joint = robot.by_name[joint.mimic.joint]
-    return joint.name, scale, zero
 
 
 def _crossed(a: Array, b: Array) -> Array:

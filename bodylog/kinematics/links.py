@@ -185,9 +185,7 @@ class Space:
         return list(below)
 
     def _moves(self, name: str) -> bool:
-        joint = self.robot.by_name[name]
-        while joint.mimic is not None:
-            joint = self.robot.by_name[joint.mimic.joint]
+        joint = self.robot.by_name[self.robot.driven[name][0]]
         return joint.kind in MOVING and joint.name in self.joints
 
     def _between(self, a: str, b: str) -> list[str]:

@@ -1,5 +1,6 @@
 """Records of a robot's links and joints, and checks that they form a plausible tree."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -67,6 +68,24 @@ class Robot:
         return {joint.name: joint for joint in self.joints}
 
     @cached_property
+    def driven(self) -> Mapping[str, tuple[str, float, float]]:
+        """Of each joint the one that it follows, directly or by others: angle = scale · its angle + zero."""
+        found: dict[str, tuple[str, float, float]] = {}
+        for joint in self.joints:
+            path = []
+            while joint.mimic is not None and joint.name not in found:
+                path.append(joint)
+                joint = self.by_name[joint.mimic.joint]
+            name, scale, zero = found.get(joint.name, (joint.name, 1.0, 0.0))
+            found[joint.name] = name, scale, zero
+            for follower in reversed(path):
+                assert follower.mimic is not None
+                zero = follower.mimic.multiplier * zero + follower.mimic.offset
+                scale = follower.mimic.multiplier * scale
+                found[follower.name] = name, scale, zero
+        return found
+
+    @cached_property
     def root(self) -> str:
         """The link without a parent joint."""
         return next(link for link in self.links if link not in self.above)
@@ -89,8 +108,8 @@ def problems(robot: Robot) -> Iterator[str]:
     links = set(robot.links)
     if not links:
         yield "has no <link>"
-    for kind, names in (("link", list(robot.links)), ("joint", [joint.name for joint in robot.joints])):
-        twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
+    for kind, names in (("link", robot.links), ("joint", tuple(joint.name for joint in robot.joints))):
+        twice = next((name for name, count in Counter(names).items() if count > 1), None)
         if twice is not None:
             yield f"{kind} {twice!r} is declared twice"
     for joint in robot.joints:
@@ -110,12 +129,13 @@ def _loops(robot: Robot) -> Iterator[str]:
         parents[joint.child] = joint.name
     sound: set[str] = set()
     for link in robot.links:
-        path: list[str] = []
+        path: dict[str, None] = {}
         while link in robot.above and link not in sound:
-            path.append(link)
+            path[link] = None
             link = robot.above[link].parent
             if link in path:
-                yield f"links {', '.join(path[path.index(link) :][:5])} hang on one another in a loop"
+                names = list(path)
+                yield f"links {', '.join(names[names.index(link) :][:5])} hang on one another in a loop"
                 return
         sound.update(path)
     roots = [link for link in robot.links if link not in robot.above]
@@ -124,17 +144,19 @@ def _loops(robot: Robot) -> Iterator[str]:
 
 
 def _followers(robot: Robot) -> Iterator[str]:
+    sound: set[str] = set()
     for joint in robot.joints:
-        seen = [joint.name]
-        while joint.mimic is not None:
+        path = {joint.name}
+        while joint.mimic is not None and joint.name not in sound:
             if joint.mimic.joint not in robot.by_name:
                 yield f"joint {joint.name!r} mimics {joint.mimic.joint!r}, which is not declared"
                 return
             joint = robot.by_name[joint.mimic.joint]
-            if joint.name in seen:
+            if joint.name in path:
                 yield f"joint {joint.name!r} mimics itself"
                 return
-            seen.append(joint.name)
+            path.add(joint.name)
+        sound |= path
 
 
 def is_optical(link: str) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..io.atomic_files import text as read_text
+from ..logs.limits import LIMITS, Input
 from ..types import Array
 from .robot import MOVING, Joint, Limits, Mimic, Robot, problems
 from .rotations import from_rpy, transform
@@ -16,13 +17,12 @@ if TYPE_CHECKING:
 
 KINDS = (*MOVING, "fixed", "floating", "planar")
 _MOST_BYTES = 1 << 25
-_MOST_JOINTS = 10_000
 _DEEPEST = 100
 
 
-def load(path: Path) -> Robot:
+def load(path: Path, limits: Input = LIMITS) -> Robot:
     """Read a URDF file; FormatError where it is invalid."""
-    return parse(text(path), str(path))
+    return parse(text(path), str(path), limits)
 
 
 def text(path: Path) -> str:
@@ -33,8 +33,8 @@ def text(path: Path) -> str:
         raise FormatError(f"{path}: cannot be read as a URDF ({problem})") from problem
 
 
-def parse(xml: str, source: str) -> Robot:
-    """Parse a URDF's text; FormatError, beginning with `source`, where it is invalid."""
+def parse(xml: str, source: str, limits: Input = LIMITS) -> Robot:
+    """Parse a URDF's text; FormatError, beginning with `source`, where it is invalid or has too many joints."""
     root = element(xml, source)
     if root.tag != "robot":
         raise FormatError(f"{source}: the XML begins with <{root.tag[:40]}>; a URDF begins with <robot>")
@@ -42,8 +42,9 @@ def parse(xml: str, source: str) -> Robot:
         raise FormatError(f"{source}: holds xacro commands; type: xacro {source} > robot.urdf")
     links = tuple(_name(link, "link", source) for link in root.findall("link"))
     elements = [one for one in root.findall("joint") if "type" in one.attrib or one.find("parent") is not None]
-    if len(elements) > _MOST_JOINTS:
-        raise FormatError(f"{source}: {len(elements)} joints; possible: at most {_MOST_JOINTS}")
+    if len(elements) > limits.max_joints:
+        asked = f"to read them, type in robot.toml: [input] max_joints = {len(elements)}"
+        raise FormatError(f"{source}: {len(elements)} joints, at most {limits.max_joints} are read; {asked}")
     robot = Robot(root.get("name", ""), links, tuple(_joint(one, source) for one in elements), source)
     for problem in problems(robot):
         raise FormatError(f"{source}: {problem}")

@@ -17,6 +17,7 @@ from ..io import remote
 from .decode.columns import columns_of, definition_of
 from .decode.table import Table, filled, leaf_paths, object_paths
 from .formats import open_log, payloads, without_images
+from .limits import LIMITS
 from .mcap.records import MAGIC
 from .protocol import Log
 from .records import Batch, Finding, Frame, Topic
@@ -166,8 +167,11 @@ def findings_about(findings: Sequence[Finding], here: Path, path: str | Path) ->
 
 
 @contextmanager
-def local_path(path: str | Path) -> Iterator[Path]:
-    """A local path for a log: its own; for an MCAP behind a URL, a map that fetches on access; for others, a copy."""
+def local_path(path: str | Path, wait_s: float = LIMITS.max_wait_s) -> Iterator[Path]:
+    """A local path for a log: its own; for an MCAP behind a URL, a map that fetches on access; for others, a copy.
+
+    `wait_s`: s without an answer, after which a server is given up.
+    """
     if not remote.is_url(str(path)):
         yield Path(path)
         return
@@ -176,19 +180,20 @@ def local_path(path: str | Path) -> Iterator[Path]:
     from .storage import remote_map
 
     url = str(path)
-    size = remote.size(url)
-    if size and remote.read_range(url, 0, min(size, 64)).startswith(MAGIC):
-        opened = remote_map.mapped_remote(remote.name_of(url), size, partial(_read_range, url, size))
+    size = remote.size(url, wait_s)
+    first, in_parts = remote.begin(url, min(size, 64), wait_s) if size else (b"", False)
+    if first.startswith(MAGIC) and in_parts:
+        opened = remote_map.mapped_remote(remote.name_of(url), size, partial(_read_range, url, wait_s))
     else:
-        opened = remote.local(url, Path(gettempdir()))
+        opened = remote.local(url, Path(gettempdir()), wait_s)
     with opened as here, remote.errors_about(here, url):
         yield here
 
 
-def _read_range(url: str, size: int, start: int, end: int) -> bytes:
-    """The bytes from start to before end of a remote file of `size` bytes, or all of them; LogError for fewer."""
-    found = remote.read_range(url, start, end)
-    if len(found) not in (end - start, size):
+def _read_range(url: str, wait_s: float, start: int, end: int) -> bytes:
+    """The bytes from start to before end of a remote file; LogError for fewer."""
+    found = remote.read_range(url, start, end, wait_s)
+    if len(found) != end - start:
         raise LogError(f"{url}: {len(found)} bytes arrived where {end - start} were asked for; try again")
     return found
 

@@ -149,12 +149,12 @@ def _signal(
         return role_values.texts(found, {text: messages.refusal(role.topics[0], text) for text in seen})
     if not role.field:
         wanted = settings.body.joints if alone or role.role != "joints" else None
-        return role_values.joints(found, wanted, what, every=role.role == "joints")
+        return role_values.joints(found, wanted, what, role.role == "joints", settings.input)
     signal = role_values.array(found)
     if role.role == "skin" or not len(signal.rows):
         return role_values.proximities(signal) if role.unsure else signal
     nameless = [(signal.rows, signal.stamp_ns, ((), signal.values))]
-    return role_values.joints(nameless, settings.body.joints, what)
+    return role_values.joints(nameless, settings.body.joints, what, limits=settings.input)
 
 
 def _empty(stream: Stream, settings: Settings, name: str) -> Finding:

@@ -95,7 +95,7 @@ def _health(stream: Stream) -> Health:
 def _sidecars(path: Path, settings: Settings) -> dict[str, video_file.Sidecar]:
     declared = cameras.cameras(settings.topics).items()
     return {
-        key: video_file.find(name, path, settings.topics.rate)
+        key: video_file.find(name, path, settings.topics.rate, settings.input)
         for key, name in declared
         if cameras.is_video("camera", name)
     }

@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import LogError
 from ..io.values import reject_impossible
 from ..logs.decode.parts import Columns
+from ..logs.limits import LIMITS, Input, TableSize
 from ..logs.records import Array
 
 _TURN = 2.0 * np.pi
@@ -54,7 +55,9 @@ def blocks(columns: Sequence[Columns], stamp: str | None, fields: Sequence[str])
         first += len(some.log_ns)
 
 
-def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, every: bool = True) -> Signal:
+def joints(
+    found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, every: bool = True, limits: Input = LIMITS
+) -> Signal:
     """Named joints (names, positions): values by name, NaN where a message lacks one or names it twice.
 
     LogError when `every` wanted joint must exist and one does not, or when the joints have no names.
@@ -80,6 +83,10 @@ def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, ev
             continue
         good.append((rows, stamps, names, positions))
     order = _order([names for _, _, names, _ in good], wanted, what, every)
+    if len(order) > limits.max_joints:
+        asked = f"to read them, type in robot.toml: [input] max_joints = {len(order)}"
+        raise LogError(f"{what}: its messages name {len(order)} joints, at most {limits.max_joints} are read; {asked}")
+    TableSize(limits).take(8 * len(order) * sum(len(rows) for rows, *_ in good), f"{what}: {len(order)} joints")
     values = [_by_name(names, positions, order) for _, _, names, positions in good]
     return _joined([(r, s) for r, s, _, _ in good], values, order, rejected)._replace(sets=_sets(good))
 
@@ -103,7 +110,8 @@ def _without_duplicates(names: tuple[str, ...], positions: Array) -> tuple[tuple
     """Drop joints that one message names twice: which position is theirs is unknown."""
     if len(set(names)) == len(names):
         return names, positions
-    kept = [place for place, name in enumerate(names) if names.count(name) == 1]
+    counts = Counter(names)
+    kept = [place for place, name in enumerate(names) if counts[name] == 1]
     return tuple(names[place] for place in kept), positions[:, kept]
 
 
@@ -130,9 +138,10 @@ def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -
     if names == order:
         return positions
     values = np.full((len(positions), len(order)), np.nan)
-    for place, name in enumerate(order):
-        if name in names:
-            values[:, place] = positions[:, names.index(name)]
+    columns = {name: place for place, name in enumerate(order)}
+    for place, name in enumerate(names):
+        if name in columns:
+            values[:, columns[name]] = positions[:, place]
     return values
 
 

@@ -160,12 +160,12 @@ def parquet_padding(folder: Path) -> Written:
 
 
 def parquet_lists(folder: Path) -> Written:
-    """A table of poses whose cell is a list of 100 million numbers."""
+    """A table of poses whose cell is a list of 34 million numbers."""
     import pyarrow as arrow
     from pyarrow import parquet
 
-    flat = arrow.array(np.zeros(1 << 27, np.int8))
-    lists = arrow.ListArray.from_arrays(arrow.array([0, 1 << 27], arrow.int32()), flat)
+    flat = arrow.array(np.zeros(1 << 25, np.int8))
+    lists = arrow.ListArray.from_arrays(arrow.array([0, 1 << 25], arrow.int32()), flat)
     table = arrow.table({"t": [0.0], "elbow": [0.0], "list": lists})
     parquet.write_table(table, folder / "x.parquet", compression="zstd")
     return _ingest(folder, "x.parquet")
@@ -296,7 +296,7 @@ def _joints(path: Path, count: int, names: Callable[[int], list[str]]) -> Path:
 def joint_names(folder: Path) -> Written:
     """Two thousand messages that name ten joints each, none of them twice."""
     _joints(folder / "x.mcap", 2000, lambda k: [f"{k}_{n}" for n in range(10)])
-    return ("info", str(folder / "x.mcap"), "--json")
+    return ("fit", str(folder / "x.mcap"), "-o", str(folder / "out.npz"))
 
 
 def image_link(folder: Path) -> Written:
@@ -381,11 +381,11 @@ def side_samples(folder: Path) -> Written:
 
 
 def side_size(folder: Path) -> Written:
-    """A video that declares 64 x 48 beside a log, and holds images of 16384 x 16384."""
+    """A video that declares 64 x 48 beside a log, and holds images of 12000 x 12000."""
     from .messages import large
 
-    image = large(".jpg", 16_384)
-    (folder / "x.mp4").write_bytes(mp4(30, len(image), data=image * 30))
+    image = large(".jpg", 12_000)
+    (folder / "x.mp4").write_bytes(mp4(30, len(image), data=image))
     _joints(folder / "x.mcap", 30, lambda k: ["a", "b"])
     (folder / "robot.toml").write_text('[topics]\ncamera = "x.mp4"\n')
     return ("fit", str(folder / "x.mcap"), "--config", str(folder / "robot.toml"), "-o", str(folder / "out.npz"))
@@ -406,5 +406,27 @@ BOMBS = {
     "hdf5 endless stream": Bomb(hdf5_stream, 3, "/timestamps: a chunk of 2097152 bytes unpacks to more"),
     "hdf5 references": Bomb(hdf5_references, 0),
     "hdf5 one heap": Bomb(hdf5_heap, 65, "max_unpacked_gb"),
+    "parquet dictionary": Bomb(parquet_dictionary, 65, "max_table_mb"),
+    "parquet padding": Bomb(parquet_padding, 65, "max_table_mb"),
+    "parquet lists": Bomb(parquet_lists, 65, "max_table_mb"),
+    "parquet images": Bomb(parquet_images, 65, "max_unpacked_gb"),
+    "info.json shape": Bomb(info_shape, 0, "info.json declares 5 numbers"),
+    "csv cells": Bomb(csv_cells, 65, "max_table_mb"),
+    "csv commas": Bomb(csv_commas, 65, "max_table_mb"),
+    "yaml aliases": Bomb(yaml_aliases, 65, "it has aliases (*name)"),
+    "yaml key": Bomb(yaml_key, 65, "a key is a list or a mapping"),
+    "yaml large": Bomb(yaml_large, 65, "max_yaml_mb = 8"),
+    "yaml deep": Bomb(yaml_deep, 65, "64 deep"),
+    "urdf mimics": Bomb(urdf_mimics, 65, "max_joints = 10000"),
+    "urdf links": Bomb(urdf_links, 65, "link 'l99998' is declared twice"),
+    "urdf chain": Bomb(urdf_chain, 65, "max_joints = 10000"),
+    "joint names": Bomb(joint_names, 65, "its messages name 20000 joints"),
+    "image link": Bomb(image_link, 0),
+    "image outside": Bomb(image_parent, 3, "5 images cannot be read, or stand outside the table's folder"),
+    "folder link": Bomb(table_link, 0),
+    "mp4 samples": Bomb(mp4_samples, 65, "its tables declare 16777216 samples"),
+    "side video samples": Bomb(side_samples, 65, "its tables declare 16777216 samples"),
+    "side video size": Bomb(side_size, 65, "images of 12000 x 12000; set [input] max_image_mpx"),
+    "video size": Bomb(video_size, 65, "max_image_mpx"),
 }
 """Every bomb, with what becomes of the command that reads it."""

@@ -84,6 +84,10 @@ def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], header
     """Build a model from a residual process, arrays as SHAPES and names; ValueError for inconsistent fields."""
     steps, doubt, count = found["steps"], found["doubt"], len(joints)
     own = 2 * count if _SCALED in header else count
+    for field in ("chain", "camera", "marker"):
+        _insist_rigid(found[field], field)
+    for field, most in (("theta", _LARGEST), ("lens", _LARGEST), ("points", _FARTHEST)):
+        _insist((np.abs(found[field]) <= most).all(), field, float(np.abs(found[field]).max()), f"at most {most:g}")
     turns = len(doubt) == 18 + own
     _insist(turns or len(doubt) == 15 + own, "doubt", len(doubt), f"{15 + own} or {18 + own} numbers")
     _insist((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
@@ -106,6 +110,8 @@ def _chain(start: str, end: str, joints: tuple[str, ...], fixed: Array, steps: A
     column, slides, count = steps[:, 0].astype(np.int64), steps[:, 3], len(joints)
     _insist((column == steps[:, 0]).all() and (column >= 0).all() and (column < count).all(), field, column, "joints")
     _insist(np.isin(slides, (0.0, 1.0)).all(), field, slides, "0 or 1 in the last column")
+    moves = np.abs(steps[:, 1:3])
+    _insist((moves <= _LARGEST).all(), field, float(moves.max(initial=0.0)), f"at most {_LARGEST:g}")
     return Chain(start, end, joints, fixed, column, steps[:, 1], steps[:, 2], slides > 0)
 
 
@@ -113,6 +119,8 @@ def _base(joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[s
     if _BASE_NAMES[0] not in header:
         return None
     start, end, link, thing = (header[name] for name in _BASE_NAMES)
+    for field in ("base", "base_tool"):
+        _insist_rigid(found[field], field)
     chain = _chain(start, end, joints, found["base"], found["base_steps"], "base_steps")
     return Base(chain, found["base_tool"], link, thing == _THINGS[1])
 
@@ -130,6 +138,27 @@ def checked(header: Any) -> dict[str, str]:
     if not carried or header[_BASE_NAMES[-1]] not in _THINGS:
         raise ValueError(f"kinematics: found {str(header)[:80]}, possible: texts for {', '.join(_BASE_NAMES)}")
     return {name: header[name] for name in (*_NAMES, *_BASE_NAMES)} | scaled
+
+
+def _insist_rigid(poses: Array, field: str) -> None:
+    """ValueError unless poses (4,4) or (K,4,4) turn and move, without scaling, and not beyond _FARTHEST."""
+    poses = poses.reshape(-1, 4, 4)
+    turn, place = poses[:, :3, :3], poses[:, :3, 3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        stretch = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
+        mirrored = (np.linalg.det(turn) < 0.0).any()
+    rigid = stretch <= _ROUNDING and not mirrored and (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all()
+    _insist(rigid, field, "a matrix that is no pose", "a rotation and a place, above a row of 0, 0, 0, 1")
+    farthest = float(np.abs(place).max(initial=0.0))
+    _insist(farthest <= _FARTHEST, field, f"{farthest:g} m", f"at most {_FARTHEST:g} m")
+
+
+_ROUNDING = 1e-6
+"""How far a product of rotations may be from a rotation; a learned body's are within 1e-14."""
+_FARTHEST = 1e4
+"""m: no camera sees a marker from farther away."""
+_LARGEST = 1e6
+"""Unknowns (m, rad, px, shares), and a step's scale and zero."""
 
 
 def _insist(sound: Any, field: str, found: object, possible: str) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import LogError, UsageError
+from ..limits import Input
 from ..records import Array
 from . import video
 from .extra import require_module
@@ -92,7 +93,7 @@ def _sized(image: Array, size: tuple[int, int], path: Path) -> Array:
 
 def _error(path: Path, images: Images, pts: Array, size: tuple[int, int]) -> float:
     """RMS difference (grey levels) of the video's frames from the images; LogError where frames are missing."""
-    found = video.survey(path, size[0] * size[1] / 1e6)
+    found = video.survey(path, Input(max_image_mpx=size[0] * size[1] / 1e6, max_frames=max(len(pts), 1)))
     shown = np.rint(found.t * _TICKS).astype(np.int64)
     if len(shown) != len(pts) or np.abs(shown - pts).max(initial=0) > 1:
         raise LogError(f"{path.name}: was not written correctly: {len(shown)} frames where {len(pts)} were written")

@@ -1,5 +1,6 @@
 """A LeRobot episode as a log: state, action and other features as topics, cameras from videos or tables."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -78,15 +79,15 @@ def _ranges(numbers: Sequence[int]) -> str:
 
 def _episode(known: Layout, number: int, findings: list[Finding], limits: Input) -> Episode:
     table = known.table(number)
-    where = parquet.rows(table, "episode_index", number)
+    where = parquet.rows(table, "episode_index", number, limits)
     if not where:
         raise LogError(f"{table}: no rows of episode {number}")
     numbers = [name for name, about in known.features.items() if about.get("dtype") in _NUMBERS]
     wanted = [name for name in numbers if name not in _BOOKKEEPING and not name.endswith(_STAMP)]
-    found = parquet.columns(table, list(dict.fromkeys([*wanted, *_BOOKKEEPING])), where)
+    found = parquet.columns(table, list(dict.fromkeys([*wanted, *_BOOKKEEPING])), where, limits)
     count = sum(end - first for first, end in where)
     named = [f"{name}{_STAMP}" for name in known.features if f"{name}{_STAMP}" in known.features]
-    stamps = {name: parquet.integers(table, name, where) for name in named}
+    stamps = {name: parquet.integers(table, name, where, limits) for name in named}
     ns = _times(stamps, found.get("timestamp"), count, known.fps, findings)
     streams: list[Signal | Texts | Camera] = []
     for name in wanted:
@@ -136,7 +137,7 @@ def _signal(name: str, known: Layout, values: Array | None, ns: Array, findings:
     if values.shape[1] > _MOST_WIDE:
         findings.append(Finding("lost", f"{name}: {values.shape[1]} numbers in a row; at most {_MOST_WIDE} are read"))
         return
-    width = int(np.prod([side for side in about.get("shape") or [1] if isinstance(side, int)]))
+    width = _width(about.get("shape"))
     if width != values.shape[1]:
         text = f"{name}: info.json declares {width} numbers, the table holds {values.shape[1]}"
         findings.append(Finding("warning", text))
@@ -150,6 +151,15 @@ def _signal(name: str, known: Layout, values: Array | None, ns: Array, findings:
         metadata |= of.metadata
         findings += [Finding(*of.remark)] if name == state else []
     yield Signal(topic, kind, names, values, ns, metadata)
+
+
+def _width(shape: Any) -> int | str:
+    """The numbers of a row by its declared shape: one without a shape; the shape's text if it is no list of sizes."""
+    if not shape:
+        return 1
+    if not isinstance(shape, list) or not all(isinstance(side, int) for side in shape):
+        return f"{shape!r:.40}"
+    return math.prod(shape)
 
 
 def _robot(known: Layout, name: str) -> dict[str, str]:
@@ -203,14 +213,14 @@ def _camera(
         return
     if about["dtype"] == "image":
         table = known.table(number)
-        read = partial(_of_table, table, name, where)
+        read = partial(_of_table, table, name, where, limits)
         yield Camera(f"{topic}/image/compressed", ns, read, None, "png", metadata)
         return
     try:
         part = known.video(number, name)
         if not part.path.is_file():
             raise LogError(f"{part.path}: there is no such file; is the dataset downloaded completely?")
-        film = video.survey(part.path, limits.max_image_mpx)
+        film = video.survey(part.path, limits)
     except InputError as problem:
         findings.append(Finding("lost", f"{name}: {problem}"))
         return
@@ -251,8 +261,8 @@ def _dated(name: str, t: Array, ns: Array, shown: Array, fps: float) -> tuple[Ar
     return ns, [Finding("warning", text)]
 
 
-def _of_table(table: Path, name: str, where: Sequence[tuple[int, int]]) -> Iterator[Item]:
-    yield from enumerate(parquet.encoded(table, name, where))
+def _of_table(table: Path, name: str, where: Sequence[tuple[int, int]], limits: Input) -> Iterator[Item]:
+    yield from enumerate(parquet.encoded(table, name, where, limits))
 
 
 def _of_video(film: video.Video, first: int, last: int) -> Iterator[Item]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import FormatError, LogError
+from ...io.contained import is_inside
 from ...io.values import number, read_json
 from . import parquet
 
@@ -101,15 +102,26 @@ class Layout:
         path = Path(text)
         if path.is_absolute() or ".." in path.parts or "{" in text or "\0" in text:
             raise FormatError(f"{self.folder}/{INFO}: {key} = {template!r:.80} is not a path within the dataset")
-        return self.folder / path
+        return _own(self.folder / path, self.folder)
 
 
 def layout(folder: Path) -> Layout:
     """The layout of a dataset; FormatError or LogError for broken meta files."""
-    info = (folder / INFO).stat()
-    tables = sorted((folder / EPISODE_TABLES).rglob("*.parquet"))
+    info = _own(folder / INFO, folder).stat()
+    tables = _episode_tables(folder)
     listed = [path.stat() for path in (folder / EPISODES, *tables) if path.is_file()]
     return _layout(folder, *((one.st_mtime_ns, one.st_size) for one in (info, *listed)))
+
+
+def _episode_tables(folder: Path) -> list[Path]:
+    return [_own(path, folder) for path in sorted((folder / EPISODE_TABLES).rglob("*.parquet"))]
+
+
+def _own(path: Path, folder: Path) -> Path:
+    """The path; FormatError where a link leads out of the dataset."""
+    if not is_inside(path, folder):
+        raise FormatError(f"{path}: is a link out of the dataset; copy the file in its place")
+    return path
 
 
 @lru_cache(maxsize=4)
@@ -138,7 +150,7 @@ def tasks(layout: Layout) -> dict[int, str]:
         found = _lines(folder / TASKS) if (folder / TASKS).is_file() else []
         pairs = [(row.get("task_index"), row.get("task")) for row in found]
     elif (folder / TASK_TABLE).is_file():
-        table = parquet.objects(folder / TASK_TABLE, ("task_index", "task", "__index_level_0__"))
+        table = parquet.objects(_own(folder / TASK_TABLE, folder), ("task_index", "task", "__index_level_0__"))
         names = table.get("task") or table.get("__index_level_0__") or []
         pairs = list(zip(table.get("task_index", []), names, strict=False))
     else:
@@ -158,7 +170,7 @@ _COLUMNS = ("episode_index", "tasks", "length", "data/chunk_index", "data/file_i
 
 def _listed_v3(folder: Path) -> dict[int, Mapping[str, Any]]:
     found: dict[int, Mapping[str, Any]] = {}
-    tables = sorted((folder / EPISODE_TABLES).rglob("*.parquet"))
+    tables = _episode_tables(folder)
     if not tables:
         raise LogError(f"{folder / EPISODE_TABLES}: there are no tables; is the dataset downloaded completely?")
     for path in tables:
@@ -185,7 +197,7 @@ def _real(value: Any) -> float | None:
 
 
 def _text(path: Path) -> str:
-    size = path.stat().st_size
+    size = _own(path, path.parent.parent).stat().st_size
     if size > _MOST_BYTES:
         raise LogError(f"{path}: {size} bytes; at most {_MOST_BYTES} are read")
     try:

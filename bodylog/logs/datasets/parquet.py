@@ -8,14 +8,19 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError, LogError
+from ..limits import LIMITS, Input, TableSize
 from ..records import Array
+from ..storage.compression import Allowance
+from ..tables import parquet_pages
 from .extra import require_module
 
-MOST_VALUES = 1 << 26
-"""The most numbers of one column that are read."""
 _MOST_ROWS = 1 << 24
-_MOST_BYTES = 256 << 20
-"""The most bytes that one piece of a column of images may expand to."""
+_ROWS_AT_ONCE = 16
+"""Images that are read at once, unless so many could be too large."""
+_DEEPEST = 16
+"""Lists in one another."""
+OBJECT_BYTES = 64
+"""What a value takes as a Python object, beside its text."""
 
 
 @contextmanager
@@ -33,99 +38,129 @@ def opened(path: Path) -> Iterator[Any]:
         raise FormatError(f"{path}: the table cannot be read: {' '.join(str(problem).split())[:160]}") from None
 
 
-def rows(path: Path, column: str, value: int) -> list[tuple[int, int]]:
+def rows(path: Path, column: str, value: int, limits: Input = LIMITS) -> list[tuple[int, int]]:
     """The rows where an integer column has a value: runs (first, beyond the last), in file order."""
     with opened(path) as file:
         if column not in file.schema_arrow.names:
             return [(0, file.metadata.num_rows)]
-        is_it = _numbers(_column(file, column, None, path)).reshape(-1) == value
+        size = TableSize(limits)
+        is_it = _numbers(_column(file, column, None, path, limits, size), column, size).reshape(-1) == value
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_it, [False]]).astype(np.int8)))
     return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
 
 
-def columns(path: Path, names: Sequence[str], where: Sequence[tuple[int, int]]) -> dict[str, Array | None]:
+def columns(
+    path: Path, names: Sequence[str], where: Sequence[tuple[int, int]], limits: Input = LIMITS
+) -> dict[str, Array | None]:
     """Columns of numbers (n,K) float64, NaN where empty, in runs of rows; None for other columns.
 
-    A column of variable-length lists is as wide as its longest, padded with NaN.
+    A column of variable-length lists is as wide as its longest, padded with NaN. LogError where all are too large.
     """
+    size = TableSize(limits)
     with opened(path) as file:
-        return {name: _found(file, name, where, path) for name in names if name in file.schema_arrow.names}
+        there = [name for name in names if name in file.schema_arrow.names]
+        return {name: _found(file, name, where, path, limits, size) for name in there}
 
 
-def integers(path: Path, name: str, where: Sequence[tuple[int, int]]) -> Array | None:
+def integers(path: Path, name: str, where: Sequence[tuple[int, int]], limits: Input = LIMITS) -> Array | None:
     """A column of whole numbers (n,) int64 in runs of rows, without rounding; None for other columns."""
     with opened(path) as file:
         types = require_module("pyarrow", path).types
         if name not in file.schema_arrow.names or not types.is_integer(file.schema_arrow.field(name).type):
             return None
-        pieces = [_column(file, name, run, path) for run in where]
+        size = TableSize(limits)
+        pieces = [_column(file, name, run, path, limits, size) for run in where]
         if any(piece.null_count for piece in pieces):
             return None
         return np.concatenate([np.empty(0, np.int64), *(piece.to_numpy() for piece in pieces)]).astype(np.int64)
 
 
-def objects(path: Path, names: Sequence[str]) -> Mapping[str, list[Any]]:
+def objects(path: Path, names: Sequence[str], limits: Input = LIMITS) -> Mapping[str, list[Any]]:
     """Whole columns of a small table as Python values."""
+    size = TableSize(limits)
     with opened(path) as file:
         kept = [name for name in names if name in file.schema_arrow.names]
-        return {name: _column(file, name, None, path).to_pylist() for name in kept}
+        return {name: _column(file, name, None, path, limits, size, OBJECT_BYTES).to_pylist() for name in kept}
 
 
-def encoded(path: Path, column: str, where: Sequence[tuple[int, int]]) -> Iterator[bytes | None]:
-    """Encoded images of a column of {bytes, path}, or of bytes, row by row; None for a missing image."""
+def encoded(
+    path: Path, column: str, where: Sequence[tuple[int, int]], limits: Input = LIMITS
+) -> Iterator[bytes | None]:
+    """Encoded images of a column of {bytes, path}, or of bytes, row by row; None for a missing image.
+
+    LogError where they are more than a file may unpack to.
+    """
+    allowance, packed, unpacked = Allowance(path, limits), path.stat().st_size, 0
     with opened(path) as file:
         first = 0
         for group in range(file.num_row_groups):
             end = first + file.metadata.row_group(group).num_rows
             some = [(max(a, first) - first, min(b, end) - first) for a, b in where if a < end and b > first]
-            if some:
-                yield from _images(file, group, column, some, path)
+            for data in _images(file, group, column, some, path, limits) if some else ():
+                unpacked += len(data or b"")
+                allowance.check(packed, unpacked)
+                yield data
             first = end
 
 
-def _images(file: Any, group: int, column: str, where: Sequence[tuple[int, int]], path: Path) -> Iterator[bytes | None]:
-    about = file.metadata.row_group(group)
-    if about.num_rows and about.total_byte_size / about.num_rows > _MOST_BYTES:
-        raise LogError(f"{path}: {column}: images of {about.total_byte_size // about.num_rows} bytes")
+def _images(
+    file: Any, group: int, column: str, where: Sequence[tuple[int, int]], path: Path, limits: Input
+) -> Iterator[bytes | None]:
+    leaves = parquet_pages.leaves(path, file, limits, (group,))
+    largest = max((leaf.largest for leaf in parquet_pages.under(leaves, column)), default=0)
+    at_once = max(1, min(_ROWS_AT_ONCE, int(limits.max_message_mb * 1e6) // max(largest, 1)))
     at = 0
-    for piece in file.iter_batches(batch_size=16, row_groups=[group], columns=[column]):
-        for cell in piece.column(column).to_pylist():
+    for piece in file.iter_batches(batch_size=at_once, row_groups=[group], columns=[column]):
+        for cell in piece.column(column):
             if any(a <= at < b for a, b in where):
+                cell = cell.as_py()
                 data = cell.get("bytes") if isinstance(cell, dict) else cell
                 yield data if isinstance(data, bytes) and data else None
             at += 1
 
 
-def _found(file: Any, name: str, where: Sequence[tuple[int, int]], path: Path) -> Array | None:
-    pieces = [_numbers(_column(file, name, run, path)) for run in where]
-    if any(piece.dtype == object for piece in pieces):
+def _found(
+    file: Any, name: str, where: Sequence[tuple[int, int]], path: Path, limits: Input, size: TableSize
+) -> Array | None:
+    if not _holds_numbers(file.schema_arrow.field(name).type):
         return None
+    pieces = [_numbers(_column(file, name, run, path, limits, size), name, size) for run in where]
     width = max((piece.shape[1] for piece in pieces), default=0)
+    if any(piece.shape[1] != width for piece in pieces):
+        size.take(8 * width * sum(map(len, pieces)), f"{path}: {name}, each row as wide as the widest")
     return np.concatenate([np.empty((0, width)), *(_padded(piece, width) for piece in pieces)])
 
 
-def _column(file: Any, name: str, run: tuple[int, int] | None, path: Path) -> Any:
-    """One column of a run of rows, or of all; LogError if it declares too many values."""
+def _column(
+    file: Any, name: str, run: tuple[int, int] | None, path: Path, limits: Input, size: TableSize,
+    bytes_each: int = 8,
+) -> Any:  # fmt: skip
+    """One column of a run of rows, or of all; LogError if its pages hold more than may be read."""
     arrow = require_module("pyarrow", path)
     pieces, first = [], 0
     for group in range(file.num_row_groups):
-        about = file.metadata.row_group(group)
-        end = first + about.num_rows
+        end = first + file.metadata.row_group(group).num_rows
         if run is None or (run[0] < end and run[1] > first):
-            own = [about.column(k) for k in range(about.num_columns)]
-            most = max((c.num_values for c in own if f"{c.path_in_schema}.".startswith(f"{name}.")), default=0)
-            if most > MOST_VALUES:
-                raise LogError(f"{path}: {name}: {most} values; at most {MOST_VALUES} are read")
+            _take(file, name, group, path, limits, size, bytes_each)
             column = file.read_row_group(group, columns=[name]).column(name)
-            low, high = (0, about.num_rows) if run is None else (max(run[0] - first, 0), min(run[1], end) - first)
+            low, high = (0, end - first) if run is None else (max(run[0] - first, 0), min(run[1], end) - first)
             pieces += column.slice(low, high - low).chunks
         first = end
     kind = file.schema_arrow.field(name).type
     return arrow.chunked_array(pieces, type=kind).combine_chunks()
 
 
-def _numbers(column: Any) -> Array:
-    """An Arrow column as (n,K) float64, or objects if it holds no numbers; nested lists are flattened."""
+def _take(file: Any, name: str, group: int, path: Path, limits: Input, size: TableSize, bytes_each: int) -> None:
+    """Count what a column of a row group takes: its values, and the texts of one that holds no numbers."""
+    found = list(parquet_pages.under(parquet_pages.leaves(path, file, limits, (group,)), name))
+    whole = bytes_each * sum(leaf.values for leaf in found)
+    if not _holds_numbers(file.schema_arrow.field(name).type):
+        whole += sum(leaf.texts_copied for leaf in found)
+    size.take(whole, f"{path}: {name}")
+
+
+def _numbers(column: Any, name: str, size: TableSize) -> Array:
+    """An Arrow column of numbers as (n,K) float64; nested lists are flattened, and shorter ones end in NaN."""
     import pyarrow as arrow
     from pyarrow import compute
 
@@ -139,16 +174,27 @@ def _numbers(column: Any) -> Array:
         lengths = np.add.reduceat(np.append(widths, 0), starts[:-1]) * (lengths > 0) if count else lengths
         column = column.flatten()
         column = getattr(column, "storage", column)
-    types = arrow.types
-    if not (types.is_floating(column.type) or types.is_integer(column.type) or types.is_boolean(column.type)):
-        return np.empty((count, 0), object)
     flat = column.cast(arrow.float64(), safe=False).to_numpy(zero_copy_only=False)
     width = int(lengths.max(initial=0))
     if (lengths == width).all():
         return np.asarray(flat, float).reshape(count, width)
+    size.take(8 * width * count, f"{name}: {count} rows, each as wide as the widest of {width}")
     out = np.full((count, width), np.nan)
     out[np.arange(width) < lengths[:, None]] = flat
     return out
+
+
+def _holds_numbers(kind: Any) -> bool:
+    """Whether an Arrow type is of numbers, or of lists of them."""
+    import pyarrow as arrow
+
+    types = arrow.types
+    for _ in range(_DEEPEST):
+        kind = getattr(kind, "storage_type", kind)
+        if not _is_list(kind):
+            return bool(types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind))
+        kind = kind.value_type
+    return False
 
 
 def _is_list(kind: Any) -> bool:

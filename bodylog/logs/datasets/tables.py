@@ -13,6 +13,7 @@ import numpy as np
 
 from ...errors import BodylogError, LogError
 from ...io import episodes
+from ...io.contained import file_inside, is_inside
 from ...io.values import times
 from ..limits import LIMITS, Input
 from ..records import Array, Finding
@@ -51,8 +52,9 @@ def open_folder(path: Path, strict: bool = False, limits: Input = LIMITS) -> Epi
     if episodes.split(path)[1] is not None:
         raise LogError(f"{path}: the folder holds no episodes; leave out the #")
     findings: list[Finding] = []
-    tables = [one for file in _files(path, tuple(SUFFIXES)) for one in _table(file, path, findings)]
-    films = _films(list(_files(path, video.SUFFIXES)), limits, findings)
+    files = _own(_files(path, tuple(SUFFIXES)), path, findings)
+    tables = [one for file in files for one in _table(file, path, findings, limits)]
+    films = _films(list(_own(_files(path, video.SUFFIXES), path, findings)), limits, findings)
     return EpisodeLog(path, _episode(path, tables, films, findings), strict)
 
 
@@ -60,9 +62,9 @@ def open_video(path: Path, strict: bool = False, limits: Input = LIMITS) -> Epis
     """Open a video as a log, with times from a table beside it, else its own."""
     if episodes.split(path)[1] is not None:
         raise LogError(f"{path}: a video holds no episodes; leave out the #")
-    film, findings = video.survey(path, limits.max_image_mpx), list[Finding]()
+    film, findings = video.survey(path, limits), list[Finding]()
     table = table_beside(path)
-    tables = [] if table is None else list(_table(table, path.parent, findings))
+    tables = [] if table is None else list(_table(table, path.parent, findings, limits))
     return EpisodeLog(path, _episode(path, tables, [film], findings, "video"), strict)
 
 
@@ -83,11 +85,21 @@ def times_beside(film: Path) -> Array | None:
     return found.t
 
 
+def _own(files: Iterator[Path], folder: Path, findings: list[Finding]) -> Iterator[Path]:
+    """The files that stand in the folder; one behind a link that leads out of it gives a finding."""
+    for file in files:
+        if is_inside(file, folder):
+            yield file
+        else:
+            text = "is a link out of the folder; copy the file in its place"
+            findings.append(Finding("lost", f"{file.relative_to(folder)}: {text}"))
+
+
 def _films(files: Sequence[Path], limits: Input, findings: list[Finding]) -> list[video.Video]:
     found = []
     for file in files:
         try:
-            found.append(video.survey(file, limits.max_image_mpx))
+            found.append(video.survey(file, limits))
         except LogError as problem:
             findings.append(Finding("lost", str(problem)))
     return found
@@ -102,11 +114,11 @@ def _files(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
         yield from (path for path in more if path.suffix.lower() in SUFFIXES and path.is_file())
 
 
-def _table(file: Path, folder: Path, findings: list[Finding]) -> Iterator[_Dated]:
+def _table(file: Path, folder: Path, findings: list[Finding], limits: Input = LIMITS) -> Iterator[_Dated]:
     """A table whose rows have times; any other table gives a finding."""
     where = file.relative_to(folder)
     try:
-        table = read(file, SUFFIXES[file.suffix.lower()])
+        table = read(file, SUFFIXES[file.suffix.lower()], limits)
     except BodylogError as problem:
         findings.append(Finding("lost", str(problem)))
         return
@@ -209,10 +221,8 @@ def _files_of(folder: Path, names: Sequence[str]) -> Iterator[Item]:
 
 
 def _bytes(folder: Path, place: str, name: str) -> bytes | None:
-    if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name:
-        return None
-    file = folder / place / name
+    file = file_inside(folder, str(Path(place) / name))
     try:
-        return file.read_bytes() if file.is_file() and file.stat().st_size <= _LARGEST else None
+        return file.read_bytes() if file is not None and file.stat().st_size <= _LARGEST else None
     except OSError:
         return None

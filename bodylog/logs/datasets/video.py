@@ -1,5 +1,6 @@
 """Read video files frame by frame: presentation times and images; memory holds one frame at a time."""
 
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -9,11 +10,14 @@ from typing import Any
 import numpy as np
 
 from ...errors import LogError
+from ..images.mp4_boxes import check_samples
+from ..limits import Input
 from ..records import Array
 from .extra import require_module
 
+_LEAST_PIXELS = 1 << 20
+"""A decoder pads small images, so that it needs more than these have."""
 SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
-_MOST_FRAMES = 1 << 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,22 +37,25 @@ class Video:
         return self.pts * self.base
 
 
-def survey(path: Path, mpx: float) -> Video:
+def survey(path: Path, limits: Input) -> Video:
     """Size, codec and frame times of a video, read from the packets' headers without decoding.
 
-    LogError for a file that is not a video, or whose images have more than `mpx` million pixels.
+    LogError for a file that is not a video, or whose images are too large or too many.
     """
+    mpx = limits.max_image_mpx
+    check_samples(path, limits)
     with _opened(path) as (container, stream):
         width, height = stream.codec_context.width, stream.codec_context.height
         if not 0 < width * height <= mpx * 1e6:
             raise LogError(f"{path}: images of {width} x {height}; set [input] max_image_mpx to read larger ones")
-        shown: list[int] = []
+        shown = array("q")
         with suppress(*_damage(path)):  # a truncated file has fewer packets
             for packet in container.demux(stream):
                 if packet.size and (at := packet.dts if packet.pts is None else packet.pts) is not None:
                     shown.append(at)
-                if len(shown) > _MOST_FRAMES:
-                    raise LogError(f"{path}: more than {_MOST_FRAMES} frames")
+                if len(shown) > limits.max_frames:
+                    asked = f"type in robot.toml: [input] max_frames = {10 * limits.max_frames}"
+                    raise LogError(f"{path}: more than {limits.max_frames} images; to read them, {asked}")
         pts = np.sort(np.array(shown, np.int64))
         return Video(path, pts, float(stream.time_base or 0), width, height, stream.codec_context.name)
 
@@ -73,6 +80,7 @@ def _decoded(video: Video, first: int) -> Iterator[tuple[int, Array]]:
     if not known:
         return
     with _opened(video.path) as (container, stream), suppress(*_damage(video.path)):
+        stream.codec_context.options = {"max_pixels": str(max(video.width * video.height, _LEAST_PIXELS))}
         if first:
             container.seek(int(video.pts[first]), stream=stream, backward=True)
         number = -1

@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import LogError
+from ..limits import LIMITS, Input
 from ..records import Array, Frame
+from .mp4_boxes import check_samples
 
 _DATES = 1e8
 """s: larger times count from 1970, smaller ones from a start that the table does not give."""
@@ -23,14 +25,25 @@ class Sidecar(NamedTuple):
     t: Array | None = None
 
 
-def find(name: str, log: Path, rate: float | None) -> Sidecar:
-    """Find the video `name`, here or beside the log, at `rate` (1/s; None: its own); LogError if it is missing."""
+def find(name: str, log: Path, rate: float | None, limits: Input = LIMITS) -> Sidecar:
+    """Find the video `name`, here or beside the log, at `rate` (1/s; None: its own).
+
+    LogError if it is missing, or its images are too large or too many.
+    """
     path = next((p for p in (Path(name), log.parent / name) if p.is_file()), None)
     if path is None:
         raise LogError(f"{log}: [topics] camera = {name!r}, but there is no such file, here or beside the log")
+    check_samples(path, limits)
     capture = _open(path)
     own, length = capture.get(_property("FPS")), int(capture.get(_property("FRAME_COUNT")))
+    width, height = (capture.get(_property(f"FRAME_{side}")) for side in ("WIDTH", "HEIGHT"))
     capture.release()
+    if width * height > limits.max_image_mpx * 1e6:
+        text = f"{path}: images of {width:.0f} x {height:.0f}"
+        raise LogError(f"{text}; set [input] max_image_mpx to read larger ones")
+    if length > limits.max_frames:
+        asked = f"type in robot.toml: [input] max_frames = {length}"
+        raise LogError(f"{path}: {length} images; to read them, {asked}")
     if not 0 < (rate or own) < 1e6:
         raise LogError(
             f"{path}: the video declares {rate or own} frames per second; type in robot.toml: [topics] rate = 30"

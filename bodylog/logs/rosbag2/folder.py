@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import InputError, LogError
-from ...io import atomic_files
+from ...io import atomic_files, yaml_text
 from ..diagnostics import Diagnostics
 from ..limits import Input
 from ..mcap.time_ranges import widen
@@ -146,20 +146,8 @@ def metadata_of(path: Path, diagnostics: Diagnostics) -> dict[str, Any]:
 
 @lru_cache(maxsize=4)
 def _yaml(text: str) -> Any:
-    """The value of a YAML text; ValueError for aliases: a few lines of them can expand without end."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.composer import Composer
-    from ruamel.yaml.events import AliasEvent
-
-    class Plain(Composer):
-        def compose_node(self, parent: Any, index: Any) -> Any:
-            if self.parser.check_event(AliasEvent):
-                raise ValueError("an alias, which rosbag2 does not write")
-            return super().compose_node(parent, index)
-
-    yaml = YAML(typ="safe", pure=True)
-    yaml.Composer = Plain
-    return yaml.load(text)
+    """The value of a YAML text, kept: a folder's is read several times."""
+    return yaml_text.read(text)
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

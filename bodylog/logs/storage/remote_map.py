@@ -14,13 +14,13 @@ _BLOCK = 1 << 18
 _ENDS = 1 << 20
 
 Read = Callable[[int, int], bytes]
-"""Reads the bytes of a remote file from one offset to before another; some stores return the whole file."""
+"""Reads the bytes of a remote file from one offset to before another."""
 
 
 class RemoteMap(mmap.mmap):
     """A memory map of a remote file; call `ensure_local` before access."""
 
-    missing: set[int]
+    present: set[int]
     remote: Read
     lock: Lock
     handle: int
@@ -28,16 +28,14 @@ class RemoteMap(mmap.mmap):
     def ensure_local(self, start: int, end: int) -> None:
         """Fetch the missing blocks between the bytes `start` and `end` in few requests."""
         with self.lock:
-            wanted = sorted(self.missing.intersection(range(start // _BLOCK, -(-end // _BLOCK))))
+            wanted = [block for block in range(start // _BLOCK, -(-end // _BLOCK)) if block not in self.present]
             for first, last in _runs(wanted):
                 low, high = first * _BLOCK, min((last + 1) * _BLOCK, len(self))
                 data = self.remote(low, high)
-                if len(data) == len(self):
-                    low, first, last = 0, 0, len(self) // _BLOCK
-                elif len(data) != high - low:
+                if len(data) != high - low:
                     raise OSError(f"{len(data)} bytes arrived where {high - low} were asked for")
                 os.pwrite(self.handle, data, low)
-                self.missing.difference_update(range(first, last + 1))
+                self.present.update(range(first, last + 1))
 
 
 def _runs(blocks: list[int]) -> Iterator[tuple[int, int]]:
@@ -78,7 +76,10 @@ def remote_map_of(path: Path) -> RemoteMap | None:
     handle = os.open(path, os.O_RDWR)
     found = RemoteMap(handle, 0, access=mmap.ACCESS_READ)
     finalize(found, os.close, handle)
-    found.missing, found.remote, found.lock, found.handle = set(range(-(-size // _BLOCK))), read, Lock(), handle
+    found.present = set()
+    found.remote = read
+    found.lock = Lock()
+    found.handle = handle
     found.ensure_local(0, min(_BLOCK, size))
     found.ensure_local(max(0, size - _ENDS), size)
     return found

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import BodylogError, LogError
+from ...io.contained import file_inside
 from ..decode.ros1_to_cdr import known_definition
 from ..encode import cdr
 from ..encode.cdr import CdrField
@@ -33,7 +34,7 @@ class PoseLog:
         source, self.path = source or path, path
         with source.open("rb") as stream:
             self.format = kind(path, stream.read(4)) or "csv"
-        table = read(source, self.format)
+        table = read(source, self.format, limits)
         self._strict, self._findings = strict, list[Finding]()
         found = poses(table, str(path))
         self._add("info", *found.notes)
@@ -121,13 +122,14 @@ class PoseLog:
             made = cdr.serialise(1, _image_fields(ns, data))
             yield Batch(number, np.array([ns]), made.data, made.offset, made.length)
         if missing:
-            self._add("lost", f"{len(missing)} images cannot be read: {', '.join(missing[:3])}")
+            text = f"{len(missing)} images cannot be read, or stand outside the table's folder"
+            self._add("lost", f"{text}: {', '.join(missing[:3])}")
 
     def _image(self, name: str) -> Array | None:
-        """The bytes of an image beside the table, converted to PNG unless JPEG, PNG or WebP; None: unreadable."""
-        file = self.path.parent / name
+        """The bytes of an image in the table's folder, as PNG unless JPEG, PNG or WebP; None: unreadable."""
+        file = file_inside(self.path.parent, name)
         try:
-            if not file.is_file() or not 0 < file.stat().st_size <= _LARGEST:
+            if file is None or not 0 < file.stat().st_size <= _LARGEST:
                 return None
             data = np.fromfile(file, np.uint8)
         except (OSError, ValueError):

@@ -1,25 +1,32 @@
 """Read a table from a CSV, Parquet or YAML file as columns of numbers or texts; unreadable parts are counted."""
 
 import csv
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
 from ...errors import FormatError, LogError, UsageError
+from ...io import yaml_text
+from ..limits import LIMITS, Input, TableSize
 from ..records import Array
+from . import parquet_pages
 
 SUFFIXES = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".yaml": "yaml", ".yml": "yaml"}
 EMPTY = frozenset(("", "nan", "na", "n/a", "null", "none", "-"))
 """Cells, in lower case, that count as empty."""
-_MOST_BYTES = {"csv": 256 << 20, "parquet": 256 << 20, "yaml": 8 << 20}
-_MOST_CELLS = 1 << 26
+_LONGEST_ROW = 1 << 22
+"""Characters of a row of a CSV file, which is a list of cells before they can be counted."""
 _MOST_COLUMNS = 10_000
-_BLOCK = 4096
+_BLOCK_CELLS = 1 << 17
+"""Cells of a CSV file that are texts at one time: each takes some 60 bytes."""
+_OBJECT_BYTES = 64
+"""What a value takes as a Python object, beside its text."""
 _MISTYPED = 0.5
 """Share of a column's filled cells that must be numbers for a column of numbers."""
 
@@ -50,13 +57,15 @@ def kind(path: Path, first: bytes = b"") -> str | None:
     return SUFFIXES.get(path.suffix.lower())
 
 
-def read(path: Path, form: str) -> Table:
-    """Read the table in a file of that format; LogError or FormatError if it is invalid."""
-    size = path.stat().st_size
-    if size > _MOST_BYTES[form]:
-        raise LogError(f"{path}: a table of {size} bytes; at most {_MOST_BYTES[form]} are read")
+def read(path: Path, form: str, limits: Input = LIMITS) -> Table:
+    """Read the table in a file of that format; LogError or FormatError if it is invalid or beyond the limits."""
+    name = "max_yaml_mb" if form == "yaml" else "max_table_mb"
+    megabytes = path.stat().st_size / 1e6
+    if megabytes > getattr(limits, name):
+        asked = f"to read it, type in robot.toml: [input] {name} = {math.ceil(megabytes)}"
+        raise LogError(f"{path}: a table of {megabytes:.1f} MB; {asked}")
     try:
-        found = READERS[form](path)
+        found = READERS[form](path, limits)
     except (UnicodeDecodeError, csv.Error, ValueError) as problem:
         raise FormatError(f"{path}: not a {form} table: {_line(problem)}") from None
     if not found.rows:
@@ -64,11 +73,28 @@ def read(path: Path, form: str) -> Table:
     return found
 
 
-def _csv(path: Path) -> Table:
+def _csv(path: Path, limits: Input) -> Table:
     with path.open(encoding="utf-8-sig", newline="") as stream:
-        rows = csv.reader(stream, delimiter=_delimiter(path))
+        rows = _rows(stream, _delimiter(path))
         header = _header([cell.strip() for cell in next(rows, [])], path)
-        return _joined(header, _blocks(header, rows), path)
+        return _joined(header, _blocks(header, rows, path, TableSize(limits)), path)
+
+
+def _rows(stream: TextIO, delimiter: str) -> Iterator[list[str]]:
+    """The rows of a CSV file; ValueError for one of more than _LONGEST_ROW characters."""
+    left = _LONGEST_ROW
+
+    def lines() -> Iterator[str]:
+        nonlocal left
+        while line := stream.readline(left + 1):
+            left -= len(line)
+            if left < 0:
+                raise ValueError(f"a row of more than {_LONGEST_ROW} characters")
+            yield line
+
+    for row in csv.reader(lines(), delimiter=delimiter):
+        left = _LONGEST_ROW
+        yield row
 
 
 def _delimiter(path: Path) -> str:
@@ -100,9 +126,11 @@ class _Piece:
     long: int
 
 
-def _blocks(header: Sequence[str], rows: Iterator[list[str]]) -> Iterator[_Piece]:
+def _blocks(header: Sequence[str], rows: Iterator[list[str]], path: Path, size: TableSize) -> Iterator[_Piece]:
     """Rows in blocks, so that memory holds only part of a long table's texts; empty lines are skipped."""
-    width, block, short, long, cells = len(header), list[list[str]](), 0, 0, 0
+    width, short, long = len(header), 0, 0
+    most = max(1, _BLOCK_CELLS // width)
+    block: list[list[str]] = []
     for row in rows:
         if not any(row):
             continue
@@ -110,14 +138,19 @@ def _blocks(header: Sequence[str], rows: Iterator[list[str]]) -> Iterator[_Piece
             long += 1
             continue
         short += len(row) < width
-        cells += width
-        if cells > _MOST_CELLS:
-            raise ValueError(f"more than {_MOST_CELLS} cells")
         block.append(row + [""] * (width - len(row)))
-        if len(block) == _BLOCK:
-            yield _Piece(_columns(block, width), short, long)
+        if len(block) == most:
+            yield _piece(block, width, short, long, path, size)
             block, short, long = [], 0, 0
-    yield _Piece(_columns(block, width), short, long)
+    yield _piece(block, width, short, long, path, size)
+
+
+def _piece(block: list[list[str]], width: int, short: int, long: int, path: Path, size: TableSize) -> _Piece:
+    """A block of rows as columns; LogError where the table becomes too large."""
+    columns = _columns(block, width)
+    texts = [cell for column in columns if column.dtype == object for cell in column.tolist()]
+    size.take(8 * len(block) * width + _OBJECT_BYTES * len(texts) + sum(map(len, texts)), f"{path}: the cells")
+    return _Piece(columns, short, long)
 
 
 def _columns(block: list[list[str]], width: int) -> list[Array]:
@@ -184,7 +217,7 @@ def _is_number(cell: str) -> bool:
     return cell.lower() not in EMPTY and _number(cell) == _number(cell)
 
 
-def _parquet(path: Path) -> Table:
+def _parquet(path: Path, limits: Input) -> Table:
     try:
         parquet: Any = import_module("pyarrow.parquet")
     except ImportError:
@@ -192,26 +225,65 @@ def _parquet(path: Path) -> Table:
         raise UsageError(f"{path}: {text}") from None
     with parquet.ParquetFile(path) as file:
         names = _header(list(file.schema_arrow.names), path)
-        if file.metadata.num_rows * len(names) > _MOST_CELLS:
-            raise LogError(f"{path}: {file.metadata.num_rows} rows of {len(names)} columns; too many for a table")
+        leaves = parquet_pages.leaves(path, file, limits)
+        texts = [name for name in names if _is_text(file.schema_arrow.field(name).type)]
+        size = TableSize(limits)
+        for name in names:
+            _take(path, name, list(parquet_pages.under(leaves, name)), file, size)
+        rows = file.metadata.num_rows
+    with parquet.ParquetFile(path, read_dictionary=texts) as file:  # one copy of each text, however often it occurs
         table = file.read()
     columns = [(name, table.column(place)) for place, name in enumerate(names)]
-    flat = [pair for name, column in columns for pair in _arrow(name, column)]
-    return _of_cells([name for name, _ in flat], [cells for _, cells in flat], table.num_rows, path)
+    flat = [pair for name, column in columns for pair in _arrow(path, name, column, size)]
+    return _of_cells([name for name, _ in flat], [cells for _, cells in flat], rows, path)
 
 
-def _arrow(name: str, column: Any) -> Iterator[tuple[str, Array]]:
-    """A Parquet column as a table column; a list of fixed length as several: name.0, name.1, ..."""
+def _take(path: Path, name: str, leaves: Sequence[parquet_pages.Leaf], file: Any, size: TableSize) -> None:
+    """Count a column before it is read; the texts of a plain column are counted once it is known which occur."""
+    kind, values = file.schema_arrow.field(name).type, sum(leaf.values for leaf in leaves)
+    if _is_plain(kind):
+        size.take(8 * values, f"{path}: {name}")
+    elif _is_text(kind):
+        size.take(8 * values + sum(leaf.texts_read for leaf in leaves), f"{path}: {name}")
+    else:
+        texts = sum(leaf.texts_copied - leaf.page_bytes for leaf in leaves)
+        size.take(_OBJECT_BYTES * values + texts, f"{path}: {name}")
+
+
+def _is_plain(kind: Any) -> bool:
     types: Any = import_module("pyarrow.types")
-    if types.is_floating(column.type) or types.is_integer(column.type) or types.is_boolean(column.type):
+    return bool(types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind))
+
+
+def _is_text(kind: Any) -> bool:
+    types: Any = import_module("pyarrow.types")
+    return bool(types.is_string(kind) or types.is_binary(kind))
+
+
+def _arrow(path: Path, name: str, column: Any, size: TableSize) -> Iterator[tuple[str, Array]]:
+    """A Parquet column as a table column; a list of fixed length as several: name.0, name.1, ..."""
+    if _is_plain(column.type):
         yield name, column.cast("float64").to_numpy()
         return
+    types: Any = import_module("pyarrow.types")
+    if types.is_dictionary(column.type):
+        size.take(_text_bytes(column), f"{path}: {name}")
     cells = column.to_pylist()
     widths = {len(cell) for cell in cells if isinstance(cell, list)}
     if len(widths) == 1 and all(isinstance(cell, list) for cell in cells):
         yield from ((f"{name}.{k}", _objects([cell[k] for cell in cells])) for k in range(min(widths)))
     else:
         yield name, _objects(cells)
+
+
+def _text_bytes(column: Any) -> int:
+    """What the texts of a dictionary column take as Python objects."""
+    compute: Any = import_module("pyarrow.compute")
+    whole = _OBJECT_BYTES * len(column)
+    for chunk in column.chunks:
+        lengths = compute.take(compute.binary_length(chunk.dictionary), chunk.indices)
+        whole += int(compute.sum(lengths).as_py() or 0)
+    return int(whole)
 
 
 def _objects(cells: Sequence[Any]) -> Array:
@@ -224,23 +296,13 @@ def _objects(cells: Sequence[Any]) -> Array:
     return out
 
 
-def _yaml(path: Path) -> Table:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    text = path.read_text(encoding="utf-8-sig")
-    if "*" in text and any(word.startswith("*") for word in text.split()):
-        raise ValueError("it has aliases (*name); write the values out")
-    try:
-        rows = YAML(typ="safe", pure=True).load(text)
-    except (YAMLError, RecursionError) as problem:
-        raise ValueError(_line(problem)) from None
+def _yaml(path: Path, limits: Input) -> Table:
+    rows = yaml_text.read(path.read_text(encoding="utf-8-sig"))
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise ValueError("it must be a list of mappings, one for each pose: - {pan: 0.1, tip_u: 310.5, tip_v: 99}")
     flat = [dict(_flat(row)) for row in rows]
     names = _header(list(dict.fromkeys(name for row in flat for name in row)), path)
-    if len(names) * len(flat) > _MOST_CELLS:
-        raise ValueError(f"more than {_MOST_CELLS} cells")
+    TableSize(limits).take(_OBJECT_BYTES * len(names) * len(flat), f"{path}: {len(flat)} rows of {len(names)} columns")
     return _of_cells(names, [_objects([row.get(name) for row in flat]) for name in names], len(rows), path)
 
 
@@ -266,4 +328,4 @@ def _line(problem: Exception) -> str:
     return " ".join(str(problem).split())[:200]
 
 
-READERS: Mapping[str, Callable[[Path], Table]] = {"csv": _csv, "parquet": _parquet, "yaml": _yaml}
+READERS: Mapping[str, Callable[[Path, Input], Table]] = {"csv": _csv, "parquet": _parquet, "yaml": _yaml}

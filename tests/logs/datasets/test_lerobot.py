@@ -274,10 +274,11 @@ def test_columns_pad_lists_with_nan(copied):
     assert np.isnan(position[6:11, 2]).all() and np.isnan(position[11]).all() and np.isfinite(position[:6]).all()
 
 
-def test_columns_check_declared_sizes_first(copied, monkeypatch):
-    monkeypatch.setattr("bodylog.logs.datasets.parquet.MOST_VALUES", 30)
-    with pytest.raises(LogError, match=r"observation.state: 36 values; at most 30"):
-        open_log(copied)
+def test_columns_check_declared_sizes_first(copied):
+    from bodylog.logs.limits import Input
+
+    with pytest.raises(LogError, match=r"observation.state: 0.000288 MB .* max_table_mb = 1"):
+        open_log(copied, limits=Input(max_table_mb=0.0002))
 
 
 def test_survey_refuses_large_images(copied):

@@ -1,0 +1,41 @@
+"""Read YAML texts as plain values: no names that repeat a value, no keys but plain ones."""
+
+from typing import Any
+
+DEEPEST = 64
+"""Levels of lists and mappings."""
+
+
+def read(text: str) -> Any:
+    """The value of a YAML text; ValueError if it is invalid, too deep, or has aliases or keys that are no scalars.
+
+    A few lines of aliases can expand without end: &a [x, x], &b [*a, *a], …
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.composer import Composer
+    from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.events import AliasEvent, MappingStartEvent, SequenceStartEvent
+    from ruamel.yaml.nodes import MappingNode
+
+    class Plain(Composer):
+        depth = 0
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.parser.check_event(AliasEvent):
+                raise ValueError("it has aliases (*name); write the values out")
+            is_key = isinstance(parent, MappingNode) and index is None
+            if is_key and self.parser.check_event(MappingStartEvent, SequenceStartEvent):
+                raise ValueError("a key is a list or a mapping; names are possible")
+            self.depth += 1
+            if self.depth > DEEPEST:
+                raise ValueError(f"lists and mappings are more than {DEEPEST} deep")
+            found = super().compose_node(parent, index)
+            self.depth -= 1
+            return found
+
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Composer = Plain
+    try:
+        return yaml.load(text)
+    except (YAMLError, RecursionError) as problem:
+        raise ValueError(" ".join(str(problem).split())[:200]) from None
