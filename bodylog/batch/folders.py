@@ -139,9 +139,10 @@ def _place(log: str) -> str:
     return log if remote.is_url(log) else os.path.abspath(log)
 
 
-def is_claimed(folder: Path, logs: Mapping[str, str]) -> bool:
-    """Whether the folder still holds the results of these logs, and of no others."""
-    return claimed(folder) == {name: _place(log) for name, log in logs.items()}
+def is_claimed_by_more(folder: Path, logs: Mapping[str, str]) -> bool:
+    """Whether a batch of other logs as well has noted meanwhile that the folder holds its results."""
+    found = claimed(folder)
+    return bool(found) and found != {name: _place(log) for name, log in logs.items()}
 
 
 @contextmanager

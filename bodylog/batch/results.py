@@ -51,7 +51,7 @@ class Journal:
 
     def _is_superseded(self) -> bool:
         """Whether a batch of these and more logs began in the folder meanwhile: it writes all rows."""
-        return not folders.is_claimed(self._out, {job.name: job.log for job in self._whole})
+        return folders.is_claimed_by_more(self._out, {job.name: job.log for job in self._whole})
 
     def _rows(self) -> list[Row]:
         """This shard's rows, and what others left that was done as this one does it."""

@@ -1,4 +1,4 @@
-"""Run commands on thousands of hostile inputs: python -m tests.adversary --files 5000 --settings 1000 --seed 1."""
+"""Run commands on thousands of hostile inputs: python -m tests.adversary --files 5000 --sets 3000 --seed 1."""
 
 import argparse
 import json
@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from .cases import Base, Problem, file_case, prepare, settings_case
+from .cases import Base, Problem, file_case, prepare, set_case, settings_case
 from .worker import Run, plain
 
 
@@ -24,7 +24,7 @@ class Tally:
     start: float = field(default_factory=time.monotonic)
 
     def add(self, what: str, runs: list[Run], wrong: list[Problem]) -> None:
-        """Count one case of kind `what` (files or settings)."""
+        """Count one case of kind `what` (files, settings or sets)."""
         self.cases[what] += 1
         self.problems += wrong
         for one in runs:
@@ -50,11 +50,15 @@ class Tally:
 
 
 def meet(
-    base: Base, place: Path, files: range, settings: range, progress: Path | None = None
+    base: Base, place: Path, files: range, settings: range, progress: Path | None = None, sets: range = range(0)
 ) -> tuple[list[Problem], dict[str, object]]:
     """Run every case of these seeds; returns violations and statistics, which `progress` gets after each case."""
     tally = Tally()
-    for what, case, seeds in (("files", file_case, files), ("settings", settings_case, settings)):
+    for what, case, seeds in (
+        ("files", file_case, files),
+        ("settings", settings_case, settings),
+        ("sets", set_case, sets),
+    ):
         for seed in seeds:
             kind, runs, wrong = case(base, place, seed)
             tally.add(what, runs, wrong)
@@ -79,13 +83,14 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--files", type=int, default=100)
     parser.add_argument("--settings", type=int, default=20)
+    parser.add_argument("--sets", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     typed = parser.parse_args()
     base = prepare(typed.out / "base")
     first = typed.seed * 1_000_000
-    files, settings = (range(first, first + count) for count in (typed.files, typed.settings))
-    problems, figures = meet(base, typed.out, files, settings, typed.out)
+    files, settings, sets = (range(first, first + count) for count in (typed.files, typed.settings, typed.sets))
+    problems, figures = meet(base, typed.out, files, settings, typed.out, sets)
     print(json.dumps(figures, indent=1))
     print(f"{len(problems)} problems")
 

@@ -422,7 +422,7 @@ BOMBS = {
     "urdf chain": Bomb(urdf_chain, 65, "max_joints = 10000"),
     "joint names": Bomb(joint_names, 65, "its messages name 20000 joints"),
     "image link": Bomb(image_link, 0),
-    "image outside": Bomb(image_parent, 3, "5 images cannot be read, or stand outside the table's folder"),
+    "image outside": Bomb(image_parent, 3, "only those in the table's folder are"),
     "folder link": Bomb(table_link, 0),
     "mp4 samples": Bomb(mp4_samples, 65, "its tables declare 16777216 samples"),
     "side video samples": Bomb(side_samples, 65, "its tables declare 16777216 samples"),

@@ -6,14 +6,15 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from . import annotated, bodies, configs
+from . import annotated, bodies, configs, datasets, servers, urdfs
+from .bombs import SECRET
 from .grammar import Draw
 from .logs import WRITERS, Channel
 from .worker import BYTES, SECONDS, Run, folder, run, warm
@@ -21,11 +22,17 @@ from .worker import BYTES, SECONDS, Run, folder, run, warm
 ALLOWED = (0, 2, 3, 4, 65, 73, 74)
 KINDS = (*WRITERS, "annotated.mcap", "body.npz")
 """Kinds of hostile files."""
+SETS = (*datasets.WRITERS, "arm.urdf", "kinematic.npz", "url")
+"""Kinds of hostile datasets, tables, robots, bodies and servers."""
+ARM = Path(__file__).parents[2] / "fixtures" / "arm"
+UR5 = Path(__file__).parents[2] / "bodylog" / "sim" / "assets" / "ur5.urdf"
+WAIT_S = 1.0
+"""What a case waits for a server."""
 
 
 @dataclass(frozen=True)
 class Base:
-    """A folder with sound.mcap, body.npz and estimate.mcap, the sources of all cases."""
+    """A folder with sound.mcap, body.npz, kinematic.npz and estimate.mcap, the sources of all cases."""
 
     path: Path
 
@@ -55,8 +62,9 @@ def prepare(path: Path) -> Base:
         if names == {b"/joint_states", b"/camera/compressed", b"/skin"}:
             break
     log, body, done = str(base / "sound.mcap"), str(base / "body.npz"), str(base / "estimate.mcap")
-    runs = run([("fit", log, "-o", body), ("estimate", log, "--body", body, "-o", done)])
-    assert [one.code for one in runs] == [0, 0], runs
+    kinematic = ("fit", str(ARM / "explore.mcap"), "--urdf", str(UR5), "-o", str(base / "kinematic.npz"))
+    runs = run([("fit", log, "-o", body), ("estimate", log, "--body", body, "-o", done), kinematic])
+    assert [one.code for one in runs] == [0, 0, 0], runs
     warm(
         [
             ("info", done),
@@ -76,8 +84,8 @@ def prepare(path: Path) -> Base:
 
 def _sound(base: Base) -> Iterator[Path]:
     """A sound log of each kind."""
-    for name, write in WRITERS.items():
-        (base / "kinds").mkdir(exist_ok=True)
+    (base / "kinds").mkdir(exist_ok=True)
+    for name, write in (WRITERS | datasets.WRITERS).items():
         write(Draw(1, 0.0), base / "kinds" / name)
         yield base / "kinds" / name
 
@@ -102,6 +110,60 @@ def file_case(base: Base, place: Path, seed: int) -> tuple[str, list[Run], list[
     problems += [Problem(seed, kind, what, runs[-1]) for what in _left(before, folder(place), runs)]
     shutil.rmtree(os.fsencode(place)) if not problems else None
     return kind, runs, problems
+
+
+def set_case(base: Base, place: Path, seed: int) -> tuple[str, list[Run], list[Problem]]:
+    """Write a hostile dataset, table, robot or body, or start a hostile server, and run two commands on it."""
+    draw = Draw(seed, 0.0)
+    draw.chance = draw.of((0.03, 0.1, 0.3))
+    kind = draw.of(SETS)
+    place = place / f"set{seed}"
+    place.mkdir(parents=True)
+    with ExitStack() as serving:
+        if kind == "url":
+            (place / "robot.toml").write_text(f"[input]\nmax_wait_s = {WAIT_S}\n")
+            content = (base / "sound.mcap").read_bytes()
+            target = serving.enter_context(servers.serving(draw, content, draw.of(servers.KINDS)))
+        else:
+            target = str(place / kind)
+            _write_set(draw, base, kind, place / kind)
+        commands = list(_set_commands(draw, base, kind, target, place))
+        before = folder(place)
+        runs = run(commands)
+    problems = [Problem(seed, kind, what, one) for one in runs for what in _wrong(one)]
+    problems += [Problem(seed, kind, what, runs[-1]) for what in _left(before, folder(place), runs)]
+    leaks = [one for one in runs if (out := _output(one)) and out.is_file() and SECRET in out.read_bytes()]
+    problems += [Problem(seed, kind, "another file's bytes are in its output", one) for one in leaks]
+    shutil.rmtree(place) if not problems else None
+    return kind, runs, problems
+
+
+def _write_set(draw: Draw, base: Base, kind: str, path: Path) -> None:
+    if kind == "arm.urdf":
+        urdfs.write(draw, path)
+    elif kind == "kinematic.npz":
+        draw.chance = 0.3
+        bodies.spoilt(draw, base / kind, path)
+    else:
+        datasets.WRITERS[kind](draw, path)
+
+
+def _set_commands(draw: Draw, base: Base, kind: str, target: str, place: Path) -> Iterator[tuple[str, ...]]:
+    out = str(place / "out.mcap")
+    if kind == "arm.urdf":
+        yield ("fit", str(base / "sound.mcap"), "--urdf", target, "-o", str(place / "out.npz"), "--json")
+    elif kind == "kinematic.npz":
+        yield ("info", target, "--json")
+        if draw.random.random() < 0.3:
+            yield ("estimate", str(ARM / "reach.mcap"), "--body", target, "-o", out, "--json")
+    elif kind == "url":
+        yield ("info", target, "--json", "--config", str(place / "robot.toml"))
+        if draw.random.random() < 0.3:
+            yield ("ingest", target, "-o", out, "--config", str(place / "robot.toml"))
+    else:
+        yield ("info", target, "--json")
+        fit = ("fit", target, "-o", str(place / "out.npz"), "--json")
+        yield draw.of((("ingest", target, "-o", out), ("ingest", target, "-o", out), ("doctor", target), fit))
 
 
 _SOURCES = {"annotated.mcap": "estimate.mcap", "body.npz": "body.npz"}

@@ -16,6 +16,8 @@ _CONTAINERS = (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts", b"moof", b"
 _BOXES_A_FRAME = 4
 _TRACKS = 4
 """Samples for each image: sound has some fifty a second where images are thirty."""
+_MOST_BOXES = 1000
+"""Boxes of a file, apart from those of fragments."""
 _DEEPEST = 8
 
 
@@ -35,7 +37,7 @@ def check_samples(path: Path, limits: Input) -> None:
             elif kind == b"elst" and end - start >= 8:
                 parts = max(parts, struct.unpack_from(">I", data, start + 4)[0])
             whole = samples * max(parts, 1)
-            if whole > _TRACKS * limits.max_frames or boxes > _BOXES_A_FRAME * limits.max_frames:
+            if whole > _TRACKS * limits.max_frames or boxes > _BOXES_A_FRAME * limits.max_frames + _MOST_BOXES:
                 asked = f"to read it, type in robot.toml: [input] max_frames = {max(whole, boxes)}"
                 raise LogError(f"{path}: its tables declare {whole} samples in {boxes} boxes; {asked}")
 

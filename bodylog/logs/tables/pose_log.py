@@ -122,8 +122,8 @@ class PoseLog:
             made = cdr.serialise(1, _image_fields(ns, data))
             yield Batch(number, np.array([ns]), made.data, made.offset, made.length)
         if missing:
-            text = f"{len(missing)} images cannot be read, or stand outside the table's folder"
-            self._add("lost", f"{text}: {', '.join(missing[:3])}")
+            text = f"{len(missing)} images cannot be read: {', '.join(missing[:3])}"
+            self._add("lost", f"{text}; only those in the table's folder are")
 
     def _image(self, name: str) -> Array | None:
         """The bytes of an image in the table's folder, as PNG unless JPEG, PNG or WebP; None: unreadable."""

@@ -2,31 +2,24 @@
 
 import csv
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 
-from ...errors import FormatError, LogError, UsageError
+from ...errors import FormatError, LogError
 from ...io import yaml_text
 from ..limits import LIMITS, Input, TableSize
 from ..records import Array
-from . import parquet_pages
+from .cells import EMPTY, OBJECT_BYTES, column_names, line, number, objects, text
 
 SUFFIXES = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".yaml": "yaml", ".yml": "yaml"}
-EMPTY = frozenset(("", "nan", "na", "n/a", "null", "none", "-"))
-"""Cells, in lower case, that count as empty."""
 _LONGEST_ROW = 1 << 22
 """Characters of a row of a CSV file, which is a list of cells before they can be counted."""
-_MOST_COLUMNS = 10_000
 _BLOCK_CELLS = 1 << 17
 """Cells of a CSV file that are texts at one time: each takes some 60 bytes."""
-_OBJECT_BYTES = 64
-"""What a value takes as a Python object, beside its text."""
 _MISTYPED = 0.5
 """Share of a column's filled cells that must be numbers for a column of numbers."""
 
@@ -66,8 +59,8 @@ def read(path: Path, form: str, limits: Input = LIMITS) -> Table:
         raise LogError(f"{path}: a table of {megabytes:.1f} MB; {asked}")
     try:
         found = READERS[form](path, limits)
-    except (UnicodeDecodeError, csv.Error, ValueError) as problem:
-        raise FormatError(f"{path}: not a {form} table: {_line(problem)}") from None
+    except (csv.Error, ValueError) as problem:
+        raise FormatError(f"{path}: not a {form} table: {line(problem)}") from None
     if not found.rows:
         raise LogError(f"{path}: the table has no rows")
     return found
@@ -76,7 +69,7 @@ def read(path: Path, form: str, limits: Input = LIMITS) -> Table:
 def _csv(path: Path, limits: Input) -> Table:
     with path.open(encoding="utf-8-sig", newline="") as stream:
         rows = _rows(stream, _delimiter(path))
-        header = _header([cell.strip() for cell in next(rows, [])], path)
+        header = column_names([cell.strip() for cell in next(rows, [])], path)
         return _joined(header, _blocks(header, rows, path, TableSize(limits)), path)
 
 
@@ -102,19 +95,6 @@ def _delimiter(path: Path) -> str:
     with path.open(encoding="utf-8-sig") as stream:
         line = stream.readline(1 << 20)
     return max(",;\t", key=line.count)
-
-
-def _header(names: list[str], path: Path) -> list[str]:
-    """The names of the columns; FormatError when they are missing or not unique."""
-    if not any(names):
-        raise FormatError(f"{path}: the table has no header; name its columns in the first line")
-    if all(_is_number(name) for name in names if name):
-        raise FormatError(f"{path}: the first line holds numbers ({', '.join(names[:3])}); it must name the columns")
-    if len(names) > _MOST_COLUMNS:
-        raise FormatError(f"{path}: {len(names)} columns; at most {_MOST_COLUMNS} are read")
-    if twice := next((name for name, count in Counter(filter(None, names)).items() if count > 1), None):
-        raise FormatError(f"{path}: column {twice!r} occurs {names.count(twice)} times; give each a unique name")
-    return names
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +129,7 @@ def _piece(block: list[list[str]], width: int, short: int, long: int, path: Path
     """A block of rows as columns; LogError where the table becomes too large."""
     columns = _columns(block, width)
     texts = [cell for column in columns if column.dtype == object for cell in column.tolist()]
-    size.take(8 * len(block) * width + _OBJECT_BYTES * len(texts) + sum(map(len, texts)), f"{path}: the cells")
+    size.take(8 * len(block) * width + OBJECT_BYTES * len(texts) + sum(map(len, texts)), f"{path}: the cells")
     return _Piece(columns, short, long)
 
 
@@ -193,107 +173,12 @@ def _typed(column: Sequence[Array]) -> tuple[Array, list[str]]:
         wrong = [str(value) for value in values[np.isinf(values)].tolist()]
         return np.where(np.isfinite(values), values, np.nan), wrong
     cells = np.concatenate([part.astype(object) for part in column])
-    numbers = np.array([_number(cell) for cell in cells.tolist()])
-    filled = np.array([c == c and _text(c).lower() not in EMPTY for c in cells.tolist()])
+    numbers = np.array([number(cell) for cell in cells.tolist()])
+    filled = np.array([c == c and text(c).lower() not in EMPTY for c in cells.tolist()])
     sound = np.isfinite(numbers)
     if sound.sum() <= _MISTYPED * filled.sum():
-        return np.array([_text(cell) for cell in cells.tolist()], dtype=object), []
-    return np.where(sound, numbers, np.nan), [_text(cell) for cell in cells[filled & ~sound].tolist()]
-
-
-def _text(cell: Any) -> str:
-    """A cell as text; an empty one, however its block stores it, is the empty text."""
-    return "" if isinstance(cell, float) and cell != cell else str(cell)
-
-
-def _number(cell: Any) -> float:
-    try:
-        return float(cell)
-    except (ValueError, TypeError, OverflowError):
-        return float("nan")
-
-
-def _is_number(cell: str) -> bool:
-    return cell.lower() not in EMPTY and _number(cell) == _number(cell)
-
-
-def _parquet(path: Path, limits: Input) -> Table:
-    try:
-        parquet: Any = import_module("pyarrow.parquet")
-    except ImportError:
-        text = 'Parquet needs pyarrow; type: pip install "bodylog[parquet]", or save it as CSV'
-        raise UsageError(f"{path}: {text}") from None
-    with parquet.ParquetFile(path) as file:
-        names = _header(list(file.schema_arrow.names), path)
-        leaves = parquet_pages.leaves(path, file, limits)
-        texts = [name for name in names if _is_text(file.schema_arrow.field(name).type)]
-        size = TableSize(limits)
-        for name in names:
-            _take(path, name, list(parquet_pages.under(leaves, name)), file, size)
-        rows = file.metadata.num_rows
-    with parquet.ParquetFile(path, read_dictionary=texts) as file:  # one copy of each text, however often it occurs
-        table = file.read()
-    columns = [(name, table.column(place)) for place, name in enumerate(names)]
-    flat = [pair for name, column in columns for pair in _arrow(path, name, column, size)]
-    return _of_cells([name for name, _ in flat], [cells for _, cells in flat], rows, path)
-
-
-def _take(path: Path, name: str, leaves: Sequence[parquet_pages.Leaf], file: Any, size: TableSize) -> None:
-    """Count a column before it is read; the texts of a plain column are counted once it is known which occur."""
-    kind, values = file.schema_arrow.field(name).type, sum(leaf.values for leaf in leaves)
-    if _is_plain(kind):
-        size.take(8 * values, f"{path}: {name}")
-    elif _is_text(kind):
-        size.take(8 * values + sum(leaf.texts_read for leaf in leaves), f"{path}: {name}")
-    else:
-        texts = sum(leaf.texts_copied - leaf.page_bytes for leaf in leaves)
-        size.take(_OBJECT_BYTES * values + texts, f"{path}: {name}")
-
-
-def _is_plain(kind: Any) -> bool:
-    types: Any = import_module("pyarrow.types")
-    return bool(types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind))
-
-
-def _is_text(kind: Any) -> bool:
-    types: Any = import_module("pyarrow.types")
-    return bool(types.is_string(kind) or types.is_binary(kind))
-
-
-def _arrow(path: Path, name: str, column: Any, size: TableSize) -> Iterator[tuple[str, Array]]:
-    """A Parquet column as a table column; a list of fixed length as several: name.0, name.1, ..."""
-    if _is_plain(column.type):
-        yield name, column.cast("float64").to_numpy()
-        return
-    types: Any = import_module("pyarrow.types")
-    if types.is_dictionary(column.type):
-        size.take(_text_bytes(column), f"{path}: {name}")
-    cells = column.to_pylist()
-    widths = {len(cell) for cell in cells if isinstance(cell, list)}
-    if len(widths) == 1 and all(isinstance(cell, list) for cell in cells):
-        yield from ((f"{name}.{k}", _objects([cell[k] for cell in cells])) for k in range(min(widths)))
-    else:
-        yield name, _objects(cells)
-
-
-def _text_bytes(column: Any) -> int:
-    """What the texts of a dictionary column take as Python objects."""
-    compute: Any = import_module("pyarrow.compute")
-    whole = _OBJECT_BYTES * len(column)
-    for chunk in column.chunks:
-        lengths = compute.take(compute.binary_length(chunk.dictionary), chunk.indices)
-        whole += int(compute.sum(lengths).as_py() or 0)
-    return int(whole)
-
-
-def _objects(cells: Sequence[Any]) -> Array:
-    """Cells (n,) as a CSV column would hold them."""
-    plain = [np.nan if cell is None else cell for cell in cells]
-    if all(isinstance(cell, int | float) for cell in plain):
-        return np.array([_number(cell) for cell in plain])
-    out = np.empty(len(plain), dtype=object)
-    out[:] = [cell if isinstance(cell, float) else str(cell) for cell in plain]
-    return out
+        return np.array([text(cell) for cell in cells.tolist()], dtype=object), []
+    return np.where(sound, numbers, np.nan), [text(cell) for cell in cells[filled & ~sound].tolist()]
 
 
 def _yaml(path: Path, limits: Input) -> Table:
@@ -301,9 +186,9 @@ def _yaml(path: Path, limits: Input) -> Table:
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise ValueError("it must be a list of mappings, one for each pose: - {pan: 0.1, tip_u: 310.5, tip_v: 99}")
     flat = [dict(_flat(row)) for row in rows]
-    names = _header(list(dict.fromkeys(name for row in flat for name in row)), path)
-    TableSize(limits).take(_OBJECT_BYTES * len(names) * len(flat), f"{path}: {len(flat)} rows of {len(names)} columns")
-    return _of_cells(names, [_objects([row.get(name) for row in flat]) for name in names], len(rows), path)
+    names = column_names(list(dict.fromkeys(name for row in flat for name in row)), path)
+    TableSize(limits).take(OBJECT_BYTES * len(names) * len(flat), f"{path}: {len(flat)} rows of {len(names)} columns")
+    return _of_cells(names, [objects([row.get(name) for row in flat]) for name in names], len(rows), path)
 
 
 def _flat(row: Mapping[Any, Any], before: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -324,8 +209,11 @@ def _of_cells(names: Sequence[str], cells: Sequence[Array], rows: int, path: Pat
     return Table(found.numbers, found.texts, rows, found.lost, found.odd)
 
 
-def _line(problem: Exception) -> str:
-    return " ".join(str(problem).split())[:200]
+def _parquet(path: Path, limits: Input) -> Table:
+    from . import parquet_table
+
+    names, cells, rows = parquet_table.read(path, limits)
+    return _of_cells(names, cells, rows, path)
 
 
 READERS: Mapping[str, Callable[[Path, Input], Table]] = {"csv": _csv, "parquet": _parquet, "yaml": _yaml}

@@ -11,6 +11,7 @@ from bodylog import info, pipeline
 from bodylog.errors import FormatError, LogError, UsageError
 from bodylog.logs.datasets import video
 from bodylog.logs.formats import open_log
+from bodylog.logs.limits import Input
 from bodylog.recording.dataset_rows import nearest
 from bodylog.settings import Settings
 
@@ -153,7 +154,7 @@ def test_convert_keeps_a_logs_own_times(tmp_path):
     rows = pytest.importorskip("pyarrow.parquet").read_table(tmp_path / "new/data/chunk-000/file-000.parquet")
     np.testing.assert_allclose(rows["timestamp"], np.arange(30) / 31.25, atol=1e-6)
     (film,) = (tmp_path / "new/videos").rglob("*.mp4")
-    np.testing.assert_allclose(video.survey(film, 1.0).t, np.arange(30) / 31.25, atol=1e-6)
+    np.testing.assert_allclose(video.survey(film, Input()).t, np.arange(30) / 31.25, atol=1e-6)
     features = json.loads((tmp_path / "new/meta/info.json").read_text())["features"]
     assert features["observation.state"]["dtype"] == "float64"  # in float32 they would not be the same
     assert features["observation.state"]["unit"] == "rad"
