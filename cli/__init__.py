@@ -35,8 +35,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if sigbus.zeroed_pages() and code in (0, 3, 4):
             code = _unread()
     except BaseException as problem:
-        if not (signalled and signalled()) and not isinstance(problem, KeyboardInterrupt):
-            raise
+        if not (signalled and signalled()):
+            if not isinstance(problem, KeyboardInterrupt):
+                raise
+            with suppress(OSError):  # before signals were listened to: nothing was begun
+                os.write(2, b"bodylog: interrupted; nothing half-written was left\n")
         code = 128 + signal.SIGINT
     if signalled and signalled():
         # an interrupted library may crash while Python finalises

@@ -20,10 +20,10 @@ class Input:
         0.5, "Most that a log decompresses to, or 1024 times its packed size.", unit="GB", low=1e-3, high=1e6
     )
     max_table_mb: float = key(
-        128.0, "Most that a table's or dataset's numbers and texts take.", unit="MB", low=1, high=1e6
+        64.0, "Most that a table's or dataset's numbers and texts take.", unit="MB", low=1, high=1e6
     )
     max_datasets: int = key(2000, "Most datasets of one HDF5 episode.", low=1, high=10**6)
-    max_yaml_mb: float = key(1.0, "Longest YAML file.", unit="MB", low=1e-3, high=100)
+    max_yaml_mb: float = key(1.0, "Longest YAML file, of 100 000 values a MB.", unit="MB", low=1e-3, high=100)
     max_joints: int = key(1000, "Most joints of a URDF, or that joint states name.", low=1, high=10**5)
     max_frames: int = key(500_000, "Most images of one camera of a dataset or video.", low=1, high=10**8)
     max_wait_s: float = key(20.0, "Longest time without an answer from a server.", unit="s", low=0.1, high=3600)

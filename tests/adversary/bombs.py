@@ -247,6 +247,29 @@ def yaml_large(folder: Path) -> Written:
     return _ingest(folder, "x.yaml")
 
 
+def yaml_values(folder: Path) -> Written:
+    """A megabyte of brackets and commas, which is as long as a file may be."""
+    (folder / "x.yaml").write_text("- t: 0\n  elbow: 1\n  x: [" + "[]," * 330_000 + "]\n")
+    return _ingest(folder, "x.yaml")
+
+
+def csv_full(folder: Path) -> Written:
+    """As many cells as may be read, of a byte each."""
+    header = ",".join(f"j{k}" for k in range(100))
+    row = ",".join("1" * 100)
+    (folder / "x.csv").write_text(f"{header}\n" + f"{row}\n" * 79_000)
+    return _ingest(folder, "x.csv")
+
+
+def hdf5_full(folder: Path) -> Written:
+    """As many numbers as may be read, none of them stored."""
+    import h5py
+
+    with h5py.File(folder / "x.h5", "w") as file:
+        file.create_dataset("observations/qpos", shape=(1 << 16, 117), dtype="f8")
+    return _ingest(folder, "x.h5")
+
+
 def yaml_deep(folder: Path) -> Written:
     """A hundred thousand lists in one another."""
     (folder / "x.yaml").write_text("- t: 0\n  x: " + "[" * 100_000 + "]" * 100_000 + "\n")
@@ -416,6 +439,9 @@ BOMBS = {
     "yaml aliases": Bomb(yaml_aliases, 65, "it has aliases (*name)"),
     "yaml key": Bomb(yaml_key, 65, "a key is a list or a mapping"),
     "yaml large": Bomb(yaml_large, 65, "max_yaml_mb = 8"),
+    "yaml values": Bomb(yaml_values, 65, "it has more than 100000 values"),
+    "csv full": Bomb(csv_full, 0),
+    "hdf5 full": Bomb(hdf5_full, 0),
     "yaml deep": Bomb(yaml_deep, 65, "64 deep"),
     "urdf mimics": Bomb(urdf_mimics, 65, "max_joints = 10000"),
     "urdf links": Bomb(urdf_links, 65, "link 'l99998' is declared twice"),

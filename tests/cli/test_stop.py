@@ -10,6 +10,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import bodylog_cli
 import pytest
 
 COMMAND = (sys.executable, "-m", "bodylog_cli")
@@ -126,6 +127,17 @@ def test_command_inside_c_code_stops_in_time(tmp_path, robot, number):
     how = "interrupted" if number == signal.SIGINT else "stopped"
     assert (process.returncode, printed) == (128 + number, f"bodylog: {how}; nothing half-written was left\n")
     assert seconds < 2 and not list(tmp_path.iterdir())
+
+
+def test_interrupt_before_signals_are_listened_to_is_one_line(monkeypatch, capfd):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bodylog_cli, "_raise_on_signals", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        bodylog_cli.main(["info"])
+    assert ended.value.code == 130
+    assert capfd.readouterr().err == "bodylog: interrupted; nothing half-written was left\n"
 
 
 COMMANDS = {

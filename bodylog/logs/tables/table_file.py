@@ -182,7 +182,8 @@ def _typed(column: Sequence[Array]) -> tuple[Array, list[str]]:
 
 
 def _yaml(path: Path, limits: Input) -> Table:
-    rows = yaml_text.read(path.read_text(encoding="utf-8-sig"))
+    most = int(limits.max_yaml_mb * yaml_text.MOST_VALUES)
+    rows = yaml_text.read(path.read_text(encoding="utf-8-sig"), most)
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise ValueError("it must be a list of mappings, one for each pose: - {pan: 0.1, tip_u: 310.5, tip_v: 99}")
     flat = [dict(_flat(row)) for row in rows]

@@ -1,0 +1,75 @@
+"""A body file whose matrices are no poses, or whose numbers no camera has, is refused by the field's name."""
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+
+from bodylog.body import storage
+from bodylog.errors import ModelError
+from tests.adversary.cases import ARM, UR5
+
+
+@pytest.fixture(scope="module")
+def kinematic(tmp_path_factory, run_cli):
+    """A body learned with a URDF."""
+    body = tmp_path_factory.mktemp("kinematic") / "body.npz"
+    assert run_cli("fit", ARM / "explore.mcap", "--urdf", UR5, "-o", body) == 0
+    return body
+
+
+def _scaled(array):
+    array[..., :3, :3] *= 1.01
+
+
+def _mirrored(array):
+    array[..., :3, 0] *= -1.0
+
+
+def _far(array):
+    array[..., 0, 3] = 1e30
+
+
+def _sheared(array):
+    array[..., 0, 1] += 0.1
+
+
+def _last_row(array):
+    array[..., 3, 0] = 1.0
+
+
+def _large(array):
+    array[...] = 1e30
+
+
+@pytest.mark.parametrize("field", ["chain", "camera", "marker", "base", "base_tool"])
+@pytest.mark.parametrize("change", [_scaled, _mirrored, _far, _sheared, _last_row])
+def test_load_refuses_matrices_that_are_no_poses(kinematic, tmp_path, field, change):
+    with pytest.raises(ModelError, match=rf"field effector/{field}: found .*, possible: (a rotation|at most)"):
+        storage.load(_changed(kinematic, tmp_path / "x.npz", field, change))
+
+
+@pytest.mark.parametrize("field", ["theta", "lens", "points", "steps", "base_steps"])
+def test_load_refuses_numbers_that_no_camera_has(kinematic, tmp_path, field):
+    with pytest.raises(ModelError, match=f"field effector/{field}: found "):
+        storage.load(_changed(kinematic, tmp_path / "x.npz", field, _large))
+
+
+def test_load_reads_a_learned_body(kinematic, tmp_path):
+    storage.load(_changed(kinematic, tmp_path / "x.npz", "chain", lambda array: None))
+
+
+def _changed(source, path, field, change):
+    """A copy of a body with one array changed."""
+    with zipfile.ZipFile(source) as read, zipfile.ZipFile(path, "w") as written:
+        for name in read.namelist():
+            data = read.read(name)
+            if name == f"effector/{field}.npy":
+                array = np.load(io.BytesIO(data))
+                change(array)
+                out = io.BytesIO()
+                np.save(out, array)
+                data = out.getvalue()
+            written.writestr(name, data)
+    return path
