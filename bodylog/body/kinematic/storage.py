@@ -107,7 +107,9 @@ def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], header
 
 def _chain(start: str, end: str, joints: tuple[str, ...], fixed: Array, steps: Array, field: str) -> Chain:
     _insist(len(fixed) == len(steps) + 1, field, len(steps), f"{len(fixed) - 1} steps")
-    column, slides, count = steps[:, 0].astype(np.int64), steps[:, 3], len(joints)
+    count = len(joints)
+    _insist((np.abs(steps[:, 0]) <= count).all(), field, float(np.abs(steps[:, 0]).max(initial=0.0)), "joints")
+    column, slides = steps[:, 0].astype(np.int64), steps[:, 3]
     _insist((column == steps[:, 0]).all() and (column >= 0).all() and (column < count).all(), field, column, "joints")
     _insist(np.isin(slides, (0.0, 1.0)).all(), field, slides, "0 or 1 in the last column")
     moves = np.abs(steps[:, 1:3])
