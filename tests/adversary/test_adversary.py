@@ -22,7 +22,7 @@ def _texts(problems):
 
 
 def test_commands_read_or_refuse_hostile_input_in_one_line(base, tmp_path):
-    problems, figures = meet(base, tmp_path, range(12), range(4))
+    problems, figures = meet(base, tmp_path, range(12), range(4), sets=range(12))
     assert not problems, _texts(problems)
     assert figures["commands"] > 50
 
@@ -54,10 +54,28 @@ def test_commands_survive_known_bad_seeds(base, tmp_path, seed):
     assert not (problems := cases.file_case(base, tmp_path, seed)[2]), _texts(problems)
 
 
+@pytest.mark.parametrize(
+    "seed",
+    [
+        7000023,  # Arrow's error for a damaged table
+        21001760,  # a kinematic body whose scales of 1e19 leave no covariance
+    ],
+)
+def test_commands_survive_known_bad_datasets_and_bodies(base, tmp_path, seed):
+    assert not (problems := cases.set_case(base, tmp_path, seed)[2]), _texts(problems)
+
+
 def test_meet_writes_progress_before_it_is_stopped(base, tmp_path):
     meet(base, tmp_path, range(2), range(0), tmp_path)
     left = json.loads((tmp_path / "figures.json").read_text())
     assert left["files"] == 2 and left["last seed"] == 1 and left["worst MB"][0] > 0
+
+
+@pytest.mark.soak
+def test_commands_survive_3000_hostile_datasets_tables_robots_bodies_and_servers(base, tmp_path):
+    problems, figures = meet(base, tmp_path, range(0), range(0), sets=range(1000, 4000))
+    print(figures)
+    assert not problems, _texts(problems)
 
 
 @pytest.mark.soak

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...errors import ModelError
 from ...types import Array
 from ..data.pairs import Pairs
 from ..gp.model import GP
@@ -158,7 +159,11 @@ def linearised(problem: Problem, unknowns: Array) -> System:
             columns[:, directions + 2 * number + d] = np.sqrt(track.model.drift[d])
             columns[:, before:] = by_unknowns[:, d] * problem.std
             cov = problem.scale * _noise(track, kept, slope[:, d], d, like)
-            chol = np.linalg.cholesky(cov)
+            try:
+                chol = np.linalg.cholesky(cov)
+            except np.linalg.LinAlgError:
+                text = f"field {track.model.rig.sights[0].name}: its noise is no covariance; fit the body again"
+                raise ModelError(text) from None
             total = left[:, d] + by_unknowns[:, d] @ unknowns
             white = np.linalg.solve(chol, np.column_stack([total, columns]))
             information += white[:, 1:].T @ white[:, 1:]
