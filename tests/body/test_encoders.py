@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from bodylog.body.senses import encoder_calibration
 from bodylog.body.senses.encoder_function import Polynomial
 
 
@@ -20,3 +21,19 @@ def test_slope_is_that_of_the_reading(seed: int) -> None:
 def test_squares_and_straight_lines() -> None:
     encoders = Polynomial(("a", "b"), np.array([[0.0, 0.0, 1.0], [0.5, 2.0, 0.0]]))
     assert np.allclose(encoders.predict(np.array([[-3.0, 4.0]]))[0], [[9.0, 8.5]])
+
+
+def test_error_of_a_curve_is_not_rounding_far_from_zero() -> None:
+    draw = np.random.default_rng(5)
+    x = np.sort(draw.uniform(-1.0, 1.0, 2_000))
+    y = 1e4 + x + draw.normal(0.0, 1e-5, len(x))  # an encoder that has counted turns
+    _, error, _ = encoder_calibration._curve(x, y, np.arange(len(x)) % 10)
+    assert error == pytest.approx(1e-10, rel=0.1)
+
+
+def test_a_joint_that_moves_in_one_part_of_the_log_has_a_curve() -> None:
+    x = np.zeros(2_000)
+    x[:200] = np.linspace(-1.0, 1.0, 200)
+    curve, error, _ = encoder_calibration._curve(x, x, np.repeat(np.arange(10), 200))
+    assert np.isfinite(curve).all()
+    assert np.isfinite(error)

@@ -28,24 +28,32 @@ class Sampled:
 
     def __init__(self) -> None:
         """Start without images."""
-        self._sums = np.zeros((2, 3))
+        self._mean = np.zeros(3)
+        self._squares = np.zeros(3)  # of distances from the mean
         self._ends = np.array([[1.0] * 3, [0.0] * 3])
         self._count = 0
 
     def seen(self, image: Array) -> Array:
         """Add an image to the statistics and return it."""
         some = image[::_SAMPLE, ::_SAMPLE, ::-1].reshape(-1, 3) / 255.0
-        self._sums += some.sum(axis=0), (some**2).sum(axis=0)
+        self._merge(some)
         low, high = np.minimum(self._ends[0], some.min(axis=0)), np.maximum(self._ends[1], some.max(axis=0))
         self._ends = np.array([low, high])
-        self._count += len(some)
         return image
+
+    def _merge(self, some: Array) -> None:
+        """Join the pixels (n,3) to the mean and the squares around it (Chan, Golub & LeVeque 1983)."""
+        mean = some.mean(axis=0)
+        apart = mean - self._mean
+        total = self._count + len(some)
+        self._squares += np.square(some - mean).sum(axis=0) + apart**2 * (self._count * len(some) / total)
+        self._mean = self._mean + apart * (len(some) / total)
+        self._count = total
 
     def stats(self, count: int) -> dict[str, Any]:
         """Minimum, maximum, mean and std of each channel (3,1,1), and the number of images."""
-        mean = self._sums[0] / self._count
-        std = np.sqrt(np.maximum(self._sums[1] / self._count - mean**2, 0.0))
-        found = {"min": self._ends[0], "max": self._ends[1], "mean": mean, "std": std}
+        std = np.sqrt(self._squares / self._count)
+        found = {"min": self._ends[0], "max": self._ends[1], "mean": self._mean, "std": std}
         return {name: values.reshape(3, 1, 1).tolist() for name, values in found.items()} | {"count": [count]}
 
 

@@ -17,6 +17,8 @@ _CORRELATED = 9.0
 _FEWEST, _MANY = 12, 1000
 _QUIETEST = 0.001
 _ROUNDING = 1 / 12
+"""Variance (grey levels²) of rounding to whole grey levels: no colour scatters less."""
+
 # share of a lit ball's shift that a plane leaves: rms over lights 15 to 75 degrees off the view, 30 to 70 % of the
 # light from everywhere, and radii of 6 to 14 px
 _UNEVEN = 0.16
@@ -107,10 +109,10 @@ def _mixing(sheet: Array, inner: Array, rim: Array, ground: Array) -> tuple[Arra
     colours, every = _planes(sheet), 2 if inner[0].size > _MANY else 1
     some, inner, rim = colours[:, :, ::every, ::every], inner[:, ::every, ::every], rim[:, ::every, ::every]
     blob = _mean(some, inner)
-    away = some - blob.astype(np.float32)[:, :, None, None]
-    step, scatter = blob - ground, _scatter(away, inner) + _scatter(away, rim)
+    step = blob - ground
+    scatter = _scatter(some, inner, blob) + _scatter(some, rim, _mean(some, rim))
     # as much white noise again keeps the direction stable where the colours hardly scatter
-    white = np.maximum(np.trace(scatter, axis1=1, axis2=2) / 3, 1e-3)
+    white = np.maximum(np.trace(scatter, axis1=1, axis2=2) / 3, _ROUNDING)
     axis = np.linalg.solve(scatter + white[:, None, None] * np.eye(3), step[:, :, None])[:, :, 0]
     axis /= np.maximum((axis * step).sum(axis=1), 1e-6)[:, None]
     # eight lines at a time: too few for BLAS to start threads of its own
@@ -132,13 +134,18 @@ def _planes(sheet: Array, every: int = 1) -> Array:
     return planes
 
 
-def _scatter(away: Array, where: Array) -> Array:
-    """Covariance (K,3,3) of colours (K,3,s,t), given from somewhere near, where 1; zeros of none."""
-    flat = away.reshape(len(away), 3, -1)
-    chosen = where.reshape(len(where), 1, -1)
-    share = 1 / np.maximum(chosen.sum(axis=2, keepdims=True), 1)
-    mean = (flat @ chosen.transpose(0, 2, 1)) * share
-    return np.asarray((flat * chosen) @ flat.transpose(0, 2, 1) * share - mean * mean.transpose(0, 2, 1), np.float64)
+def _scatter(colours: Array, where: Array, mean: Array) -> Array:
+    """Covariance (K,3,3) of colours (K,3,s,t), whose mean (K,3) is known, where 1; zeros of none.
+
+    Whole grey levels, counted from the one nearest to the mean, have sums that float64 holds exactly: they are alike
+    on every processor, in whatever order it adds them, and what is subtracted is at most a quarter.
+    """
+    nearest = np.rint(mean).astype(np.float32)
+    away = (colours - nearest[:, :, None, None]) * where[:, None]
+    flat = away.reshape(len(away), 3, -1).astype(np.float64)
+    count = np.maximum(where.sum(axis=(1, 2), dtype=np.float64), 1)[:, None, None]
+    rest = flat.sum(axis=2, keepdims=True) / count
+    return np.asarray(flat @ flat.transpose(0, 2, 1) / count - rest * rest.transpose(0, 2, 1))
 
 
 def _mean(colours: Array, where: Array) -> Array:
@@ -153,22 +160,24 @@ def _shade(mixing: Array, inner: Array, x: Array, rounding: Array) -> tuple[Arra
 
     `rounding` (K,) is the variance of mixing from whole grey levels alone.
     """
-    inside = mixing * inner
-    own, graded = _sums(inner, x), _sums(inside, x)
-    n, sx, sxx, sy, sxy, syy = own[:, 0, 0], own[:, 0, 1], own[:, 0, 2], own[:, 1, 0], own[:, 1, 1], own[:, 2, 0]
-    z, zx, zy = graded[:, 0, 0], graded[:, 0, 1], graded[:, 1, 0]
-    mean, mid_x, mid_y = z / n, sx / n, sy / n
-    xx, yy, xy = sxx - sx * mid_x, syy - sy * mid_y, sxy - sx * mid_y
-    xz, yz = zx - z * mid_x, zy - z * mid_y
-    determinant = np.maximum(xx * yy - xy * xy, 1e-9)
+    n = inner.sum(axis=(1, 2), dtype=np.float64)
+    columns, rows = inner.sum(axis=1, dtype=np.float64), inner.sum(axis=2, dtype=np.float64)
+    mid_x, mid_y = columns @ x[1] / n, rows @ x[1] / n
+    mean = np.einsum("kij,kij->k", mixing, inner) / n
+    # everything from its own middle: sums of squares less the square of a sum lose the digits that matter
+    across, beneath = x[1] - mid_x[:, None], x[1] - mid_y[:, None]
+    level = (mixing - mean.astype(np.float32)[:, None, None]) * inner
+    xx, yy = (columns * across**2).sum(axis=1), (rows * beneath**2).sum(axis=1)
+    xy = ((inner @ across[:, :, None])[:, :, 0] * beneath).sum(axis=1)
+    xz, yz = (level.sum(axis=1) * across).sum(axis=1), (level.sum(axis=2) * beneath).sum(axis=1)
+    determinant = np.maximum(xx * yy - xy * xy, 1e-9 * xx * yy + 1e-9)
     slope_x, slope_y = (yy * xz - xy * yz) / determinant, (xx * yz - xy * xz) / determinant
     explained = slope_x * xz + slope_y * yz
-    rest = np.einsum("kij,kij->k", inside, inside) - z * mean - explained
-    rest = np.maximum(rest, n * rounding)
+    rest = np.maximum(np.einsum("kij,kij->k", level, level) - explained, n * rounding)
     chance = rest / np.maximum((n / _CORRELATED - 3) * explained, 1e-12)
     trust = np.where(n > 3 * _CORRELATED, np.maximum(1 - 6 * chance, 0), 0)
     tilt_x, tilt_y = (trust * slope_x)[:, None], (trust * slope_y)[:, None]
-    along, down = tilt_x * (x[1] - mid_x[:, None]), tilt_y * (x[1] - mid_y[:, None]) + mean[:, None]
+    along, down = tilt_x * across, tilt_y * beneath + mean[:, None]
     plane = along.astype(np.float32)[:, None, :] + down.astype(np.float32)[:, :, None]
     return mean.astype(np.float32), np.clip(plane, 0.4, 2.0, out=plane), trust > 0
 

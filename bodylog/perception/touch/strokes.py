@@ -83,12 +83,11 @@ def _cuts(t: Array, place: Array) -> list[int]:
     """Edges of the pieces (0 … n) that minimise squared error over noise plus a price per piece (Bayes' criterion)."""
     count = len(t)
     longest = max(2 * _FEWEST, int(np.searchsorted(t - t[0], _LONGEST)))
-    sums = _running_sums(t - t[0], place - place[0])
     price, came = _noise(place) ** 2 * 5.0 * np.log(count), np.zeros(count + 1, dtype=int)
     # the cost up to each edge, padded with impossible edges for one longest piece
     cost = np.full(longest + count + 1, np.inf)
     cost[longest] = 0.0
-    for end, errors in enumerate(_errors(sums, longest), _FEWEST):
+    for end, errors in enumerate(_errors(t, place, longest), _FEWEST):
         total = cost[end : end + len(errors)] + errors
         best = int(total.argmin())
         cost[longest + end], came[end] = total[best] + price, end - longest + best
@@ -105,16 +104,21 @@ def _running_sums(t: Array, place: Array) -> Array:
     return np.hstack([np.zeros((8, 1)), np.cumsum(rows, axis=1)])
 
 
-def _errors(sums: Array, longest: int) -> Iterator[Array]:
+def _errors(t: Array, place: Array, longest: int) -> Iterator[Array]:
     """For each end from _FEWEST on, the squared errors of the lines from `longest` points before it to _FEWEST before.
 
-    Those that would begin before the first point begin there.
+    Those that would begin before the first point begin there. Sums run over the points of a few ends alone, counted
+    from the middle one: sums since the start of a long track would drown the differences between them in rounding.
     """
-    before = np.pad(sums, ((0, 0), (longest, 0)), mode="edge")
-    begins = np.lib.stride_tricks.sliding_window_view(before, longest - _FEWEST + 1, axis=1)
-    for first in range(_FEWEST, sums.shape[1], _AT_ONCE):
-        ends = slice(first, min(first + _AT_ONCE, sums.shape[1]))
-        yield from _squared_error(sums[:, ends, None] - begins[:, ends])
+    for first in range(_FEWEST, len(t) + 1, _AT_ONCE):
+        end = min(first + _AT_ONCE, len(t) + 1)
+        begin = max(0, first - longest)
+        middle = (begin + end) // 2
+        near = slice(begin, end - 1)
+        sums = _running_sums(t[near] - t[middle], place[near] - place[middle])
+        before = np.pad(sums, ((0, 0), (longest - (first - begin), 0)), mode="edge")
+        begins = np.lib.stride_tricks.sliding_window_view(before, longest - _FEWEST + 1, axis=1)
+        yield from _squared_error(sums[:, first - begin :, None] - begins[:, : end - first])
 
 
 def _squared_error(sums: Array) -> Array:

@@ -21,6 +21,7 @@ _EVIDENCE = 5
 _DEFICIT = 0.12
 _CHANGE = 0.05
 _NEAR = 0.5
+_AT_ONCE = 1024
 
 HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY, FOREIGN = (
     "hidden",
@@ -240,13 +241,32 @@ def _usual(t: Array, mass: Array) -> tuple[Array, float]:
 
 
 def _lines(t: Array, values: Array, weight: Array) -> Array:
-    """At each time, the weighted line through the values within _NEAR s: (N,); the value itself if none count."""
+    """At each time, the weighted line through the values within _NEAR s: (N,); the value itself if none count.
+
+    Running sums are begun anew every _AT_ONCE rows, with times and values from there on: those of a whole log are so
+    large that what one window adds drowns in their rounding.
+    """
     low, high = np.searchsorted(t, t - _NEAR), np.searchsorted(t, t + _NEAR, side="right")
+    expected = np.empty(len(t))
+    for first in range(0, len(t), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        near = slice(int(low[some][0]), int(high[some][-1]))
+        windows = low[some] - near.start, high[some] - near.start
+        origin = t[first], values[first]
+        lines = _windowed(t[near] - origin[0], values[near] - origin[1], weight[near], *windows)
+        n, middle, mean, slope = lines
+        line = origin[1] + mean + slope * (t[some] - origin[0] - middle)
+        expected[some] = np.where(n > 0.5, np.maximum(line, 1.0), values[some])
+    return expected
+
+
+def _windowed(t: Array, values: Array, weight: Array, low: Array, high: Array) -> tuple[Array, Array, Array, Array]:
+    """Weight, mean time, mean value and slope of the rows low to high (K,) of each window: (K,) each."""
     columns = weight[:, None] * np.column_stack([np.ones_like(t), t, t * t, values, t * values])
     running = np.vstack([np.zeros(5), np.cumsum(columns, axis=0)])
     n, s, ss, v, sv = (running[high] - running[low]).T
     n = np.maximum(n, 1e-12)
     middle = s / n
-    slope = (sv - middle * v) / np.maximum(ss - middle * s, 1e-9)
-    slope = np.where(ss - middle * s > 1e-6, slope, 0.0)
-    return np.where(n > 0.5, np.maximum(v / n + slope * (t - middle), 1.0), values)
+    spread = ss - middle * s
+    slope = np.where(spread > 1e-6, (sv - middle * v) / np.maximum(spread, 1e-6), 0.0)
+    return n, middle, v / n, slope
