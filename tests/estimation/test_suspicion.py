@@ -9,7 +9,7 @@ import pytest
 from bodylog import body
 from bodylog.estimation import estimate
 from bodylog.estimation.faults import encoder_offset
-from bodylog.estimation.faults.offset_score import offset_score
+from bodylog.estimation.faults.offset_score import _of_offsets, offset_score
 from bodylog.estimation.inference.gauss_newton import solve
 from bodylog.estimation.methods import filtering
 from bodylog.settings import Estimation, Settings
@@ -174,3 +174,14 @@ def test_drift_has_a_size_with_its_error(world):
     values = joints.values + np.outer(0.02 * np.clip(joints.t - 8.0, 0.0, None), np.array(joints.names) == "pan")
     (fault,) = estimate(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, Estimation()).faults
     assert fault.kind == "drifting" and abs(fault.size - 0.16) < 4.0 * fault.std < 0.05
+
+
+def test_offset_score_of_encoders_far_surer_than_images_is_not_rounding():
+    pull, weight = np.array([[2e16, 0.0]]), np.array([[1e16, 0.0]])
+    seen = np.zeros((1, 2, 3))
+    seen[0, 0, 0] = 3.0
+    seen[0, 0, 2] = 5.0
+    slope, curvature = _of_offsets(pull, weight, seen)
+    # (A + W)^-1 W is 1 but for 4e-16: of an offset of 2 rad, what the images say is left
+    np.testing.assert_allclose(slope, [[2.0 * 4.0 - 5.0, 0.0]], rtol=1e-9)
+    np.testing.assert_allclose(curvature, [[4.0, 0.0]], rtol=1e-9)

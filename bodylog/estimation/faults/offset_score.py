@@ -31,11 +31,23 @@ def offset_score(problem: Problem, solved: Solution, walk: float) -> tuple[Array
     bounds = np.append(begins, len(t))
     pull, weight = _encoder_sums(solved, bounds)
     seen = np.sum([_track_sums(problem, solved, k, bounds) for k in visual], axis=0)
+    return _filtered_offsets(np.diff(t[begins], append=t[-1]), *_of_offsets(pull, weight, seen), walk)
+
+
+def _of_offsets(pull: Array, weight: Array, seen: Array) -> tuple[Array, Array]:
+    """Slope and curvature (S,M) of the evidence in each encoder's offset, from the sums of encoders and of tracks.
+
+    With W the encoders' information and A that of all others, 1 - (A + W)⁻¹W is (A + W)⁻¹A: as a difference it would
+    be rounding where encoders know far more than images.
+    """
+    m = weight.shape[1]
     # known to a radian where nothing is measured
-    shift = np.linalg.solve(seen[..., :m] + np.eye(m) * (1.0 + weight[:, None]), np.eye(m) * weight[:, None])
-    score = pull - np.einsum("sik,si->sk", shift, pull + seen[..., m])
-    stiff = weight * (1.0 - np.einsum("skk->sk", shift))
-    return _filtered_offsets(np.diff(t[begins], append=t[-1]), score, stiff, walk)
+    others = seen[..., :m] + np.eye(m)
+    known = np.linalg.inv(others + np.eye(m) * weight[:, None])
+    read = np.divide(pull, weight, out=np.zeros_like(pull), where=weight > 0.0)
+    left = (others @ read[..., None])[..., 0] - seen[..., m]
+    score = weight * (known @ left[..., None])[..., 0]
+    return score, weight * np.einsum("skj,sjk->sk", known, others)
 
 
 def _encoder_sums(solved: Solution, bounds: Array) -> tuple[Array, Array]:

@@ -170,6 +170,7 @@ static void condition_encoders(struct belief *b, int64_t i, const lanes *noise)
         if (s->offsets)
             add_row(b, first + j, all(1.0), ph);
         lanes size = ph[j] + noise[j] + (s->offsets ? ph[first + j] : all(0.0));
+        size = pick(size > noise[j], size, noise[j]); /* rounding, as in gate_encoders */
         ph[b->k] -= pick(present, y, all(0.0));
         condition(b, ph, pick(present, 1.0 / size, all(0.0)), noise[j], i, j, s->counted[j]);
     }
