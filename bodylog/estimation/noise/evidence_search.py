@@ -149,8 +149,13 @@ def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
 def _step(nats: Array, half: Array) -> tuple[Array, Array]:
     """Step to the minimum of the parabola through (−half, 0, half) along each axis, at most 2 half; its std.
 
-    Where the parabola has no minimum the step is downhill, and its std is half.
+    Where the parabola has no minimum the step is downhill, and its std is half. A candidate without a finite cost is no
+    better than any other: no step goes towards it.
     """
+    finite = np.isfinite(nats)
+    if not finite[0]:
+        return np.zeros(len(half)), half
+    nats = np.where(finite, nats, nats[finite].max())
     up, down = nats[1 : 1 + len(half)], nats[1 + len(half) :]
     bend = up - 2.0 * nats[0] + down
     curved = np.where(bend > 0.0, bend, 1.0)
@@ -170,9 +175,12 @@ def costs(part: Problem, solved: Solution, candidates: Array, names: list[str]) 
         if sighting.name in names:
             pixels = np.zeros_like(readings.var[:, index])
             fold.put(pixels[:, : sighting.var.shape[1]], events, sighting.independent.var)
-            more = candidates[:, m + names.index(sighting.name)] - part.precision.scale[sighting.name]
-            # a lasting error counts less than its variance in a filter's extrapolation
-            var[:, index] += np.minimum(pixels, readings.var[:, index])[..., None] * more
+            scale = part.precision.scale[sighting.name]
+            more = candidates[:, m + names.index(sighting.name)] - scale
+            # a lasting error counts less than its variance in a filter's extrapolation, so that a reading's variance
+            # may be less than its pixels': no more can be taken from it than it has
+            own = np.minimum(pixels, readings.var[:, index] / scale)
+            var[:, index] += own[..., None] * more
     trace = scan(*side_by_side(part, solved, candidates[:, :m].T, var), every=g)
     own = replace(trace, nats=trace.nats[:, ::g])
     return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), replace(solved, trace=own)
