@@ -179,11 +179,11 @@ def costs(part: Problem, solved: Solution, candidates: Array, names: list[str]) 
             more = candidates[:, m + names.index(sighting.name)] - scale
             # a lasting error counts less than its variance in a filter's extrapolation, so that a reading's variance
             # may be less than its pixels': no more can be taken from it than it has
-            own = np.minimum(pixels, readings.var[:, index] / scale)
-            var[:, index] += own[..., None] * more
+            shares = np.minimum(pixels, readings.var[:, index] / scale)
+            var[:, index] += shares[..., None] * more
     trace = scan(*side_by_side(part, solved, candidates[:, :m].T, var), every=g)
-    own = replace(trace, nats=trace.nats[:, ::g])
-    return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), replace(solved, trace=own)
+    first = replace(trace, nats=trace.nats[:, ::g])
+    return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), replace(solved, trace=first)
 
 
 def middle(problem: Problem) -> Problem:
