@@ -66,11 +66,13 @@ def _examined(log: Path, body: BodyModel | None, settings: Settings) -> Examined
     else:
         same_camera(log, body.provenance.get("cameras", ()), read, features)
         same_size(log, body, features, settings)
-        found, unclear = correction.measured_delays(timely, body), {}
+        every = correction.measured_delays(timely, body)
+        found = {name: one for name, one in every.items() if not one.doubt}
+        unclear = {name: one for name, one in every.items() if one.doubt}
     by = "learned from this log" if body is None else "given"
     some = (*_findings(found, expected, by), *_unmeasured(names, found, unclear, expected, body is None))
     texts = [replace(one, text=f"{log}: {one.text}") for one in some]
-    return Examined(tuple(_scores(found, expected)), tuple(texts))
+    return Examined(tuple(_scores({**found, **unclear}, expected)), tuple(texts))
 
 
 def _given(settings: Settings, names: tuple[str, ...]) -> dict[str, float]:
@@ -82,7 +84,7 @@ def _given(settings: Settings, names: tuple[str, ...]) -> dict[str, float]:
 
 def _scores(found: "Mapping[str, Delay]", expected: Mapping[str, float]) -> Iterator[Score]:
     for name, rest in found.items():
-        yield Score(f"delay/{name}", expected.get(name, 0.0) + rest.seconds, "s")
+        yield Score(f"delay/{name}", expected.get(name, 0.0) + rest.seconds, "s", rest.std_error)
         yield Score(f"std/delay/{name}", rest.std_error, "s")
 
 
@@ -114,7 +116,7 @@ def _unmeasured(
         if name in unclear:
             late = expected.get(name, 0.0) + unclear[name].seconds
             text = correction.worded(late, unclear[name].std_error)
-            why = f"perhaps {text}, but the body is no better with that"
+            why = f"perhaps {text}, but {unclear[name].doubt or 'the body is no better with that'}"
         yield Finding("info", f"{name}: delay not measured: {why}{advice}")
 
 

@@ -10,9 +10,10 @@ from .types import Estimate, Poses, Recording, Score, Series
 
 def score_estimate(found: Estimate, read: Recording) -> tuple[Score, ...]:
     """Figures of merit; those against truth only where the recording carries it."""
+    from .evaluation.figures import delays
     from .evaluation.scores import scores
 
-    found_scores = scores(found, read.truth, read.joints)
+    found_scores = (*scores(found, read.truth, read.joints), *delays(found))
     if found.effector is None or read.truth_pose is None:
         return found_scores
     from .evaluation import poses

@@ -274,8 +274,9 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Score:
-    """One figure of merit that knows its unit."""
+    """One figure of merit that knows its unit, and its standard error where it was measured."""
 
     name: str
     value: float
     unit: str
+    std: float | None = None

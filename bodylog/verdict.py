@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .evaluation.figures import EITHER, FIRST
+from .evaluation.figures import EITHER, FIRST, MISFIT, doubtful_delays
 from .score_names import split
 from .types import Estimate, Fault, Score
 from .wording import quantity
@@ -19,7 +19,12 @@ _SHORTEST_DELAY = 1e-3
 
 
 def of_estimate(found: Estimate, scores: Sequence[Score]) -> tuple[str, ...]:
-    """Faults, camera delays, senses without a fault, and the error, or the error bars where there is no truth."""
+    """Faults, camera delays, senses without a fault, and the error, or the error bars where there is no truth.
+
+    Of a log that does not fit the body, that alone.
+    """
+    if MISFIT in found.settings:
+        return (str(found.settings[MISFIT]["text"]),)
     faults = [_fault(fault) for fault in found.faults]
     return (*_first(faults, "faults"), *_delays(found), _agreement(found), *_error(found, scores))
 
@@ -121,12 +126,15 @@ _WORDS: Mapping[tuple[str, str], Callable[[Fault, str, str, bool], str]] = {
 
 
 def _delays(found: Estimate) -> Iterator[str]:
-    """Camera delays that the estimate corrects."""
+    """Camera delays that the estimate corrects, and those that are evident but in doubt."""
     known = found.settings.get("delay", {})
     for camera, delay in known.items() if isinstance(known, Mapping) else ():
         if abs(delay) >= _SHORTEST_DELAY:
             way = "late" if delay > 0 else "early"
             yield f"{camera}: timestamps are {abs(delay) * 1e3:.0f} ms {way}; corrected"
+    for camera, delay, std, doubt in doubtful_delays(found):
+        way = "late" if delay > 0 else "early"
+        yield f"{camera}: timestamps seem {abs(delay) * 1e3:.3g} ± {std * 1e3:.1g} ms {way}; not corrected: {doubt}"
 
 
 def _agreement(found: Estimate) -> str:

@@ -110,7 +110,9 @@ def test_doctor_prints_the_delay(run_cli, body, tmp_path, capsys):
     log = shifted(ARM / "reach.mcap", tmp_path / "late.mcap", 0.06)
     assert run_cli("doctor", log, "--body", body, "--json") == 0
     (entry,) = json.loads(capsys.readouterr().out)["results"]
-    assert entry["scores"]["delay/camera"] == {"value": pytest.approx(0.06, abs=0.01), "unit": "s"}
+    assert entry["scores"]["delay/camera"] == {
+        "value": pytest.approx(0.06, abs=0.01), "unit": "s", "std": entry["scores"]["std/delay/camera"]["value"],
+    }  # fmt: skip
     assert run_cli("doctor", ARM / "reach.mcap", "--delay", "off") == 0
     assert capsys.readouterr().out == f"{ARM / 'reach.mcap'}: sound\n"
     assert run_cli("doctor", log, "--body", log) == 65

@@ -17,7 +17,7 @@ from .methods.table import METHODS, ignored_settings
 from .noise import typed
 from .noise.angle_unit import UNIT, as_angles, in_units, unit_of
 from .poses.estimate import estimate as still_poses
-from .timing.correction import add_delay_uncertainty, as_stamped, corrected
+from .timing.correction import add_delay_uncertainty, as_stamped, corrected, is_evident
 
 __all__ = ["METHODS", "check", "estimate"]
 
@@ -56,8 +56,13 @@ def _timely(features: Features, body: BodyModel, settings: Estimation, delay: st
     found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
     used = dict(found.settings)
     if timely.delays:
-        found = add_delay_uncertainty(as_stamped(found, features, timely.features), timely)
+        found = as_stamped(found, features, timely.features)
         used |= {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
+    if timely.measured:
+        found = add_delay_uncertainty(found, timely)
+        used["delay_measured"] = {
+            name: asdict(one) | {"evident": is_evident(one)} for name, one in timely.measured.items()
+        }
     if weighed := [*map(asdict, timely.hypotheses), *used.get("hypotheses", ())]:
         used["hypotheses"] = weighed
     findings = (*timely.findings, *found.findings, *ignored_settings(settings))

@@ -1,6 +1,6 @@
 """Figures that bounds may name beside scores: faults by kind and joint, delays, shares used."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from ..types import Estimate, Fault, Score
 
@@ -19,6 +19,10 @@ CAMERA = "camera"
 """Name of the first camera, whose tracks are named plainly."""
 EITHER = " or "
 """Between the names of joints one of which is faulty."""
+MEASURED_DELAYS = "delay_measured"
+"""Key of an estimate's settings: {camera: seconds, std_error, doubt (why it is not applied, or ""), evident}."""
+MISFIT = "misfit"
+"""Key of an estimate's settings where the log does not fit the body: text, share off, explanation or None."""
 
 
 def figures(found: Estimate) -> tuple[Score, ...]:
@@ -59,13 +63,32 @@ def _kinds(fault: Fault) -> tuple[str, ...]:
     return (fault.kind, "encoder_offset") if fault.sense == "encoders" and fault.kind in OFFSET else (fault.kind,)
 
 
+def delays(found: Estimate) -> Iterator[Score]:
+    """Delay ± standard error of each camera where one was measured, applied or not; else the one that is applied."""
+    applied, measured = (found.settings.get(key, {}) for key in ("delay", MEASURED_DELAYS))
+    for name, one in measured.items() if isinstance(measured, Mapping) else ():
+        yield Score(f"delay/{name}", float(one["seconds"]), "s", float(one["std_error"]))
+    for name, late in applied.items() if isinstance(applied, Mapping) else ():
+        if name not in measured and name != "joints":
+            yield Score(f"delay/{name}", float(late), "s")
+
+
+def doubtful_delays(found: Estimate) -> Iterator[tuple[str, float, float, str]]:
+    """Yield cameras whose delay (s) ± standard error is evident, but not applied, and why."""
+    measured = found.settings.get(MEASURED_DELAYS, {})
+    for name, one in measured.items() if isinstance(measured, Mapping) else ():
+        if one["evident"] and one["doubt"]:
+            yield name, float(one["seconds"]), float(one["std_error"]), str(one["doubt"])
+
+
 def _delays(found: Estimate) -> Iterator[Score]:
-    """Delay of each camera, s."""
-    known = found.settings.get("delay", {})
+    """Delay of each camera that is applied or in doubt, s."""
+    applied = found.settings.get("delay", {})
+    doubtful = {name: late for name, late, *_ in doubtful_delays(found)}
+    known = {**(applied if isinstance(applied, Mapping) else {}), **doubtful}
     cameras = [name.rpartition("/")[0] or "camera" for name in found.used if name not in ("encoders", "touch")]
-    for name in dict.fromkeys((*cameras, *(known if isinstance(known, dict) else ()))):
-        late = known.get(name, 0.0) if isinstance(known, dict) else 0.0
-        yield Score(f"delay/{name}", float(late), "s")
+    for name in dict.fromkeys((*cameras, *known)):
+        yield Score(f"delay/{name}", float(known.get(name, 0.0)), "s")
 
 
 def _shares(found: Estimate) -> Iterator[Score]:

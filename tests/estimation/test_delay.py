@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation.faults.threshold import NATS
-from bodylog.estimation.timing.correction import measured_delays
+from bodylog.estimation.timing.correction import measured_delays, significant
 
 
 def delayed(features, seconds):
@@ -127,4 +127,6 @@ def test_measured_delay_ignores_a_clock_step(world, seed, by):
     drawn = world(seed, camera_hz=30.0, speed=1.0)
     joints = drawn.features.joints
     stepped = replace(drawn.features, joints=replace(joints, t=np.where(joints.t > 10.0, joints.t + by, joints.t)))
-    assert measured_delays(stepped, drawn.body) == {}
+    found = measured_delays(stepped, drawn.body).get("camera")
+    assert found is None or "halves of the log show" in found.doubt or "half of the log" in found.doubt
+    assert found is None or not significant(found)

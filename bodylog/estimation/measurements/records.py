@@ -1,7 +1,7 @@
 """Records of measurements, shared by gathering, screening and estimation."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -64,6 +64,15 @@ class Sighting:
     common: float = 0.0
     cov: Array | None = None
     displaced: Array | None = None
+
+    def cut(self, begin: float, end: float) -> "Sighting":
+        """The measurements from `begin` to before `end`, s."""
+        rows = (self.t >= begin) & (self.t < end)
+        cov, displaced = (None if part is None else part[rows] for part in (self.cov, self.displaced))
+        return replace(
+            self, t=self.t[rows], values=self.values[rows], var=self.var[rows], source_ns=self.source_ns[rows],
+            cov=cov, displaced=displaced,
+        )  # fmt: skip
 
     @cached_property
     def independent(self) -> "Rows":

@@ -19,11 +19,15 @@ from .regression import FARTHEST, Delay, measured
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """Features with nonzero `delays` (s, by camera) subtracted, standard errors (s) of measured ones, and remarks."""
+    """Features with nonzero `delays` (s, by camera) subtracted, standard errors (s) of measured ones, and remarks.
+
+    measured: every delay (s) that the log shows, by camera, and why it is not applied.
+    """
 
     features: Features
     delays: Mapping[str, float]
     errors: Mapping[str, float]
+    measured: Mapping[str, Delay]
     findings: tuple[Finding, ...] = ()
     hypotheses: tuple[Hypothesis, ...] = ()
 
@@ -38,6 +42,8 @@ def corrected(features: Features, body: BodyModel, given: str | Mapping[str, flo
     fixed = fixed_delays(given, names)
     delays, errors = {name: fixed.get(name, learned.get(name, 0.0)) for name in ("joints", *names)}, dict[str, float]()
     residuals = measured_delays(shifted(features, delays), body)
+    shown = {name: replace(one, seconds=delays[name] + one.seconds) for name, one in residuals.items()}
+    shown = {name: replace(one, doubt=_reason(residuals[name], name in fixed)) for name, one in shown.items()}
     for name, residual in residuals.items():
         if significant(residual) and name not in fixed:
             own = replace(residual, seconds=delays[name] + residual.seconds)
@@ -50,8 +56,29 @@ def corrected(features: Features, body: BodyModel, given: str | Mapping[str, flo
     )
     errors = {name: error for name, error in errors.items() if error}
     delays = {name: delay for name, delay in delays.items() if delay}
-    findings = tuple(delay_findings(delays, errors, residuals, fixed))
-    return Corrected(shifted(features, delays), delays, errors, findings, weighed)
+    findings = (*delay_findings(delays, errors, residuals, fixed), *unapplied_findings(shown, fixed))
+    return Corrected(shifted(features, delays), delays, errors, shown, findings, weighed)
+
+
+def _reason(residual: Delay, is_fixed: bool) -> str:
+    """Why the rest of a delay is not applied; "" if it is."""
+    if is_fixed:
+        return "the delay is given"
+    if residual.doubt:
+        return residual.doubt
+    if residual.nats <= NATS:
+        return f"its evidence is {residual.nats:.1f} nats, of {NATS:g} needed"
+    return "" if significant(residual) else f"it is less than {1e3 * LATE:g} ms"
+
+
+def unapplied_findings(shown: Mapping[str, Delay], fixed: Mapping[str, float]) -> Iterator[Finding]:
+    """Yield a remark on each measured delay that is not applied: a warning where its evidence is sufficient."""
+    for name, delay in shown.items():
+        if delay.doubt and name not in fixed:
+            sure = is_evident(delay)
+            text = f"{name}: {worded(delay.seconds, delay.std_error)}, not applied, because {delay.doubt}"
+            advice = f"; error bars include it; type --delay {name}={delay.seconds:.4f} to apply it" * sure
+            yield Finding("warning" if sure else "info", text + advice)
 
 
 def fixed_delays(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
@@ -72,8 +99,13 @@ def cameras(tracks: Iterable[str]) -> tuple[str, ...]:
 
 
 def significant(delay: Delay, least: float = LATE) -> bool:
-    """Whether a delay wins more than NATS and exceeds `least` s."""
-    return delay.nats > NATS and abs(delay.seconds) > least
+    """Whether a delay is evident and not in doubt."""
+    return not delay.doubt and is_evident(delay, least)
+
+
+def is_evident(delay: Delay, least: float = LATE) -> bool:
+    """Whether a delay wins more than NATS and exceeds `least` s, in doubt or not."""
+    return bool(delay.nats > NATS and abs(delay.seconds) > least)
 
 
 def shifted(features: Features, delays: Mapping[str, float]) -> Features:
@@ -121,12 +153,19 @@ def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimat
 def add_delay_uncertainty(found: Estimate, timely: Corrected) -> Estimate:
     """Add the uncertainty of measured delays to the covariance: a delay shifts the estimate along its rate.
 
-    All cameras are measured against the same encoders, so their errors are correlated.
+    All cameras are measured against the same encoders, so their errors are correlated. A delay that has the evidence
+    but is in doubt may be true: it counts as its own error.
     """
-    if not timely.errors:
+    unsure = {
+        name: one.seconds - timely.delays.get(name, 0.0)
+        for name, one in timely.measured.items()
+        if one.doubt and is_evident(one) and name not in timely.errors
+    }
+    errors = {**timely.errors, **unsure}
+    if not errors:
         return found
     cameras_measured = {camera(name) for name in timely.features.tracks}
-    rate, var = found.rate.values, sum(error**2 for error in timely.errors.values()) / len(cameras_measured)
+    rate, var = found.rate.values, sum(error**2 for error in errors.values()) / len(cameras_measured)
     return replace(found, cov=found.cov + var * rate[:, :, None] * rate[:, None, :])
 
 

@@ -23,16 +23,20 @@ FARTHEST = 1.0
 TAME = 4.0
 """Squared residuals over their variance that have half weight."""
 ONE = 0.61
-"""Least share of the information that must keep its weight; else no one delay fits the log. The share is 0.72 for
-normal errors, 0.61 and more in 197 of 200 logs with a drifting encoder, 0.43 to 0.64 where a clock steps by 0.3 s."""
+"""Least share of the information that keeps its weight where one delay fits the log. The share is 0.72 for normal
+errors, 0.61 and more in 197 of 200 logs with a drifting encoder, 0.43 to 0.64 where a clock steps by 0.3 s. A log with
+play, sag and correlated errors has 0.58, too; its halves agree."""
+HALVES_APART = 3.0
+"""Standard deviations within which the delays of a log's halves are alike."""
 
 
 @dataclass(frozen=True)
 class Delay:
-    """A delay of image timestamps (s) and its standard error (s)."""
+    """A delay of image timestamps (s) and its standard error (s); doubt: why it is not believed, "" if it is."""
 
     seconds: float
     std_error: float
+    doubt: str = ""
 
     @property
     def nats(self) -> float:
@@ -41,7 +45,27 @@ class Delay:
 
 
 def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
-    """The delay of one camera's tracks; None where motion is too small or too short."""
+    """The delay of one camera's tracks; None where motion is too small or too short.
+
+    Where much of the log has lost its weight, the delay is in doubt unless both halves of the log show it.
+    """
+    whole = _regressed(encoders, seen)
+    if whole is None or whole[1] >= ONE:
+        return None if whole is None else whole[0]
+    delay, middle = whole[0], float(np.median(np.concatenate([one.t for one in seen])))
+    parts = [_regressed(encoders, [one.cut(*span) for one in seen]) for span in ((-np.inf, middle), (middle, np.inf))]
+    found = [part[0] for part in parts if part is not None]
+    if len(found) < len(parts):
+        return replace(delay, doubt="much of the log contradicts it, and half of the log shows no delay")
+    apart = abs(found[0].seconds - found[1].seconds)
+    if apart < HALVES_APART * np.hypot(found[0].std_error, found[1].std_error):
+        return replace(delay, std_error=max(delay.std_error, 0.5 * apart))
+    each = " and ".join(f"{1e3 * one.seconds:.1f} ± {1e3 * one.std_error:.1f} ms" for one in found)
+    return replace(delay, doubt=f"the halves of the log show {each}")
+
+
+def _regressed(encoders: Encoders, seen: Sequence[Sighting]) -> tuple[Delay, float] | None:
+    """The delay of one camera's tracks, and the share of the information that kept its weight."""
     curves = [curve for track in seen if (curve := track_curve(encoders, track, MOST // len(seen))) is not None]
     late = 0.0
     for _ in range(SWEEPS):
@@ -60,10 +84,9 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
         late += step
         if abs(step) < ROUGHLY * own:
             information = np.square(rows.slopes @ lean).sum(axis=1)
-            if weight @ information < ONE * information.sum():
-                return None
             parts = isqrt(min(len(curve.t) for curve in curves))
-            return Delay(late, max(own, _jackknife(rows, weight, parts)))
+            delay = Delay(late, max(own, _jackknife(rows, weight, parts)))
+            return delay, float(weight @ information / information.sum())
         if abs(late) > FARTHEST:
             return None
     return None
