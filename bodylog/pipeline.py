@@ -6,18 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from . import change_findings, default_features, effector_poses, learned_tests, verdict
-from .body_model import BodyModel
-from .checks import (
-    distinct,
-    log_context,
-    require_features,
-    require_tracks,
-    require_trainable,
-    same_camera,
-    same_size,
-    to_learn,
-)
+from . import default_features, learned_tests, verdict
+from .checks import distinct, log_context, require_features, require_trainable, same_camera, same_size, to_learn
 from .errors import UsageError
 from .fault_findings import fault_warnings, sighting_findings, truth_findings
 from .io.atomic_files import sha256
@@ -25,6 +15,8 @@ from .io.outputs import Output
 from .io.temporary import scratch
 from .io.text_paths import with_text_paths
 from .joints_only import joints_alone, without_body
+from .log_estimate import estimate_log
+from .log_estimate import infer as infer
 from .logs.limits import LIMITS
 from .logs.protocol import Progress
 from .observed import completed, moving, still_poses
@@ -32,7 +24,7 @@ from .result import NO_SCORES, Scores, estimate_result
 from .result import Result as Result
 from .scoring import against, score_estimate, with_true_poses
 from .settings import Settings, plain
-from .types import Estimate, Features, Finding, FrameConsumer, Recording
+from .types import Features, Finding, FrameConsumer, Recording
 from .written_messages import estimate_messages, feature_messages, provenance, topic_of
 
 DEFAULTS = Settings()
@@ -172,7 +164,7 @@ def estimate(
         written.copy()
         cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
         same_size(log, learned, features, settings)
-        found = _estimated(log, read, features, learned, settings)
+        found = estimate_log(log, read, features, learned, settings)
         lost = written.add(estimate_messages(read, features, found))
         read = with_true_poses(log, found, read)
         scores = score_estimate(found, read)
@@ -183,31 +175,6 @@ def estimate(
     findings = (*read.findings, *features.findings, *cameras, *found.findings, *fault_warnings(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
     return estimate_result(out, found, scores, health, findings)
-
-
-def _estimated(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
-    """`infer` and the checks around it; errors name the log and what it lost."""
-    with log_context(log, read.findings):
-        found = change_findings.compared(features, learned, infer(features, learned, settings), settings.estimate)
-        found = effector_poses.added(learned, found)
-    require_tracks(log, found.used, features, settings, "; or go on with the rest: --without {}")
-    return found
-
-
-def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimate:
-    """Where the body was, from what was found in a log and a learned body."""
-    from . import estimation
-    from .body.senses import encoder_function
-    from .evaluation.scores import READ
-
-    estimation.check(learned, settings.estimate)
-    coding = estimation.METHODS[settings.estimate.method].encoder_model
-    understood = encoder_function.understood(features, learned, settings.estimate, coding)
-    found = estimation.estimate(*understood, settings.time.delay)
-    if "encoders" not in learned.senses or features.joints is None:
-        return found
-    left_out = Finding("info", "encoders: read what the body has learned, no angles; rmse/encoders is left out")
-    return replace(found, settings={**found.settings, READ: "as learned"}, findings=(*found.findings, left_out))
 
 
 @with_text_paths

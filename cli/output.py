@@ -42,13 +42,13 @@ def show(result: "Result", source: Any, as_json: bool, full: bool = False, **fur
 
 
 def show_verdict(result: "Result") -> None:
-    """Print a result's verdict, then the warnings that it does not hold."""
+    """Print a result's verdict, then the findings that it does not hold."""
     from bodylog.fault_findings import fault_warnings
 
     for text in result.verdict if verbosity() >= 0 else ():
         line(text)
     held = fault_warnings(result.faults) if result.verdict else ()
-    warn([finding for finding in result.findings if finding not in held])
+    warn([one for one in result.findings if one not in held and one.text not in result.verdict])
 
 
 def verbosity() -> int:
@@ -115,8 +115,11 @@ def entry(result: "Result", source: Any) -> dict[str, Any]:
 
 
 def scores_by_name(scores: "Sequence[Score]") -> dict[str, dict[str, Any]]:
-    """{name: {"value", "unit"}}."""
-    return {score.name: {"value": score.value, "unit": score.unit} for score in scores}
+    """{name: {"value", "unit"}}, and "std" where it is known."""
+    return {
+        score.name: {"value": score.value, "unit": score.unit} | ({} if score.std is None else {"std": score.std})
+        for score in scores
+    }
 
 
 def print_json(results: Sequence[Mapping[str, Any]]) -> None:

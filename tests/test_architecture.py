@@ -40,11 +40,11 @@ ROOMS = {
 """Which parts of bodylog a room may import; what imports several rooms stands in LAYERS, each above the one before."""
 LAYERS = (
     {"known_camera"},
-    {"effector_poses", "joint_limits", "robot_model"},
+    {"effector_poses", "joint_limits", "robot_model", "sighting_evidence"},
     {"observed", "written_messages"},
     {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "calibration",
-     "joints_only", "learned_tests", "next_postures", "online", "scoring", "verdict"},
-    {"delay_findings", "result"},
+     "joints_only", "learned_tests", "misfit", "next_postures", "online", "scoring", "verdict"},
+    {"delay_findings", "log_estimate", "result"},
     {"pipeline"},
     {"compare", "views"},
     {"batch", "experiments"},

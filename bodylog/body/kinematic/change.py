@@ -68,7 +68,7 @@ def changes(features: Features, body: BodyModel) -> tuple[Change, ...]:
 
     Empty where no track has kinematics, a joint lacks readings, or too little is seen.
     """
-    problem = _posed(features, body)
+    problem = pose_problem(features, body)
     if problem is None:
         return ()
     problem = cleaned(problem)
@@ -158,7 +158,8 @@ def _timed(problem: Problem, accepted: tuple[Part, ...], part: Part, fit: Fit) -
     return problem, part, fit
 
 
-def _posed(features: Features, body: BodyModel) -> Problem | None:
+def pose_problem(features: Features, body: BodyModel) -> Problem | None:
+    """Pose the linear problem of all changes; None where no track has kinematics, or a joint lacks readings."""
     senses = {n: s for n, s in body.senses.items() if isinstance(s, KinematicGP) and n in features.tracks}
     names = () if features.joints is None else features.joints.names
     if not senses or not comparable(body) or not set(body.joints) <= set(names):

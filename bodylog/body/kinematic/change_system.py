@@ -13,6 +13,7 @@ from .model import KinematicGP
 
 _TURNS = 4
 _OUTLYING = 5.0
+_OFF_SIGMA = 3.0
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,20 @@ def fitted(problem: Problem, parts: Sequence[Part], begin: Array | None = None) 
         if (np.abs(step[chosen]) <= 0.02 * np.sqrt(np.diag(cov)[chosen])).all():
             break
     return Fit(unknowns, cov, evidence)
+
+
+def share_off(problem: Problem, parts: Sequence[Part]) -> float:
+    """The share of sightings more than 3 standard deviations off where some parts have their likeliest values."""
+    unknowns = fitted(problem, parts).unknowns
+    about = linearised(problem, unknowns)
+    chosen = np.isin(np.arange(len(about.pull)), np.arange(about.before))
+    for part in parts:
+        chosen[about.before + part.place.start : about.before + part.place.stop] = True
+    at = np.zeros(len(about.pull))
+    at[chosen] = solved(about, np.flatnonzero(chosen))[0]
+    off = [np.abs(rest - columns @ at) > _OFF_SIGMA * std for rest, columns, std, _, _ in about.rows]
+    either = [off[k] | off[k + 1] for k in range(0, len(off), 2)]
+    return float(np.concatenate(either).mean())
 
 
 def linear(about: System, problem: Problem, parts: Sequence[Part]) -> float:

@@ -1,0 +1,53 @@
+"""The estimate of one log, with the checks around it: whether it fits the body, and what changed since learning."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from . import change_findings, effector_poses
+from .body_model import BodyModel
+from .checks import log_context, require_tracks
+from .settings import Settings
+from .types import Estimate, Features, Finding, Recording
+
+
+def estimate_log(
+    log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings
+) -> Estimate:
+    """`infer` and the checks around it; errors name the log and what it lost."""
+    from .misfit import doubted, find_misfit, from_many_faults
+
+    chosen = settings.estimate, settings.time.delay
+    with log_context(log, read.findings):
+        misfit = find_misfit(features, learned, *chosen)
+        if misfit is None:
+            found = change_findings.compared(features, learned, infer(features, learned, settings), settings.estimate)
+            misfit = from_many_faults(found, features, learned, *chosen)
+        if misfit is not None:
+            found = doubted(infer_from_encoders(features, learned, settings), features, misfit)
+        found = effector_poses.added(learned, found)
+    if misfit is None:
+        require_tracks(log, found.used, features, settings, "; or go on with the rest: --without {}")
+    return found
+
+
+def infer_from_encoders(features: Features, learned: BodyModel, settings: Settings) -> Estimate:
+    """Where the body was, by its encoders, of a log whose images the body does not explain."""
+    joints = replace(features, tracks={}, boards={}, touches=None, strokes=(), synchrony=())
+    chosen = replace(settings.estimate, senses=None, without=())
+    return infer(joints, replace(learned, senses={}), replace(settings, estimate=chosen))
+
+
+def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimate:
+    """Where the body was, from what was found in a log and a learned body."""
+    from . import estimation
+    from .body.senses import encoder_function
+    from .evaluation.scores import READ
+
+    estimation.check(learned, settings.estimate)
+    coding = estimation.METHODS[settings.estimate.method].encoder_model
+    understood = encoder_function.understood(features, learned, settings.estimate, coding)
+    found = estimation.estimate(*understood, settings.time.delay)
+    if "encoders" not in learned.senses or features.joints is None:
+        return found
+    left_out = Finding("info", "encoders: read what the body has learned, no angles; rmse/encoders is left out")
+    return replace(found, settings={**found.settings, READ: "as learned"}, findings=(*found.findings, left_out))
