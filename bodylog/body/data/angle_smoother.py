@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...linear_algebra import selected_inverse
+from ...motion import banded, covariance, log_determinant, precision, solve, transition
 from ...types import Array
-from .wiener import banded, covariance, log_determinant, precision, solve, transition
 
 _BIN_S = 0.01
 _NEAR = 0.25

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bodylog.body.data.wiener import banded, covariance, log_determinant, precision, solve, transition
+from bodylog.motion import banded, covariance, log_determinant, precision, solve, transition
 from bodylog.linear_algebra import selected_inverse
 from bodylog.types import Array
 

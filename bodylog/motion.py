@@ -4,7 +4,7 @@ from math import factorial
 
 import numpy as np
 
-from ...types import Array
+from .types import Array
 
 
 def covariance(order: int, gap: Array) -> Array:
