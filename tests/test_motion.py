@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from bodylog.motion import banded, covariance, log_determinant, precision, solve, transition
 from bodylog.linear_algebra import selected_inverse
+from bodylog.motion import banded, covariance, log_determinant, precision, solve, transition
 from bodylog.types import Array
 
 
