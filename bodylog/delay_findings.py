@@ -23,6 +23,8 @@ LONGEST = 60.0
 """s in the middle of a log that are used: a delay is known to milliseconds after 20 s of motion."""
 MOST = 600
 """Most images of each camera that are searched, evenly spread."""
+MOST_FLOW_IMAGES = 6000
+"""Most images of each camera between which flow is measured: all of a minute at 100 Hz, as motion needs neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +43,41 @@ def examine(log: Path, body: BodyModel | None, settings: Settings) -> Examined:
     if settings.time.delay == "off":
         return Examined()
     try:
-        return _examined(log, body, settings)
+        by_marker = _examined(log, body, settings)
     except InputError as problem:
         if body is not None:
             raise
         text = str(problem).removeprefix(f"{log}: ").partition("; ")[0]
-        return Examined((), (Finding("info", f"{log}: camera delays are not measured: {text}"),))
+        by_marker = Examined((), (Finding("info", f"{log}: camera delays are not measured: {text}"),))
+    if body is not None or by_marker.scores:
+        return by_marker
+    by_flow = _examined_by_flow(log, settings)
+    return by_flow if by_flow.scores else Examined((), by_marker.findings + by_flow.findings)
+
+
+def _examined_by_flow(log: Path, settings: Settings) -> Examined:
+    """Delays by the motion of the whole picture; a finding for each camera of which it does not tell one."""
+    from .estimation.timing.flow_delay import MIN_EVIDENCE_NATS
+    from .flow_findings import measure_flow_delays
+    from .recording import recording
+
+    read = middle(recording.read(log, settings, settings.input.strict), LONGEST, MOST_FLOW_IMAGES)
+    measured = list(measure_flow_delays(read))
+    expected = _given(settings, tuple(one.camera for one in measured))
+    rest: dict[str, Delay] = {}
+    unclear = list[Finding]()
+    for one in measured:
+        if one.found is None:
+            unclear.append(Finding("info", f"{log}: {one.camera}: too few images or joints for a delay by flow"))
+        elif one.found.certain:
+            late = one.found.delay
+            rest[one.camera] = replace(late, seconds=late.seconds - expected.get(one.camera, 0.0))
+        else:
+            why = f"{one.found.nats:.0f} nats of evidence, {MIN_EVIDENCE_NATS:.0f} are needed"
+            text = f"{log}: {one.camera}: no delay by the picture's motion: {why}"
+            unclear.append(Finding("info", text))
+    told = [replace(one, text=f"{log}: {one.text}") for one in _findings(rest, expected, "by the picture's motion")]
+    return Examined(tuple(_scores(rest, expected)), (*told, *unclear))
 
 
 def _examined(log: Path, body: BodyModel | None, settings: Settings) -> Examined:
@@ -69,7 +100,7 @@ def _examined(log: Path, body: BodyModel | None, settings: Settings) -> Examined
         every = correction.measured_delays(timely, body)
         found = {name: one for name, one in every.items() if not one.doubt}
         unclear = {name: one for name, one in every.items() if one.doubt}
-    by = "learned from this log" if body is None else "given"
+    by = "by the body learned from this log" if body is None else "by the body given"
     some = (*_findings(found, expected, by), *_unmeasured(names, found, unclear, expected, body is None))
     texts = [replace(one, text=f"{log}: {one.text}") for one in some]
     return Examined(tuple(_scores({**found, **unclear}, expected)), tuple(texts))
@@ -94,7 +125,7 @@ def _findings(found: "Mapping[str, Delay]", expected: Mapping[str, float], by: s
 
     for name, rest in found.items():
         known = expected.get(name, 0.0)
-        text = f"{name}: {correction.worded(known + rest.seconds, rest.std_error)}, by the body {by}"
+        text = f"{name}: {correction.worded(known + rest.seconds, rest.std_error)}, {by}"
         if not correction.significant(rest):
             yield Finding("info", f"{text}; {f'{known:g} s is expected' if known else 'not significant'}")
         elif name in expected:
@@ -124,7 +155,7 @@ def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Record
     """The middle of a log and what perception finds in it; `guess`: as pipeline.observe."""
     from .recording import recording
 
-    read = _middle(recording.read(log, settings, settings.input.strict))
+    read = middle(recording.read(log, settings, settings.input.strict), LONGEST, MOST)
     look = partial(moving, progress=None)
     found = look(read, settings)
     if guess:
@@ -132,16 +163,16 @@ def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Record
     return read, completed(read, found)
 
 
-def _middle(read: Recording) -> Recording:
-    """The middle `LONGEST` s of a recording, with at most `MOST` images of each camera."""
+def middle(read: Recording, longest_s: float, most_images: int) -> Recording:
+    """The middle of a recording, at most longest_s, with at most most_images of each camera."""
     from .recording.tidy import cut
 
-    spare = max(0.0, 0.5 * (read.duration_s - LONGEST))
+    spare = max(0.0, 0.5 * (read.duration_s - longest_s))
     begin, end = spare, read.duration_s - spare
     films = {"": read.frames, **read.views}
-    counts = {name: _count(read, name) * min(1.0, LONGEST / max(read.duration_s, LONGEST)) for name in films}
+    counts = {name: _count(read, name) * min(1.0, longest_s / max(read.duration_s, longest_s)) for name in films}
     few = {
-        name: partial(_some, film, begin, end, max(1, ceil(counts[name] / MOST)))
+        name: partial(_some, film, begin, end, max(1, ceil(counts[name] / most_images)))
         for name, film in films.items()
         if film is not None
     }

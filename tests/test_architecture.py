@@ -45,7 +45,7 @@ LAYERS = (
     {"observed", "written_messages"},
     {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "calibration",
      "joints_only", "learned_tests", "misfit", "next_postures", "online", "scoring", "verdict"},
-    {"delay_findings", "log_estimate", "result"},
+    {"delay_findings", "flow_findings", "log_estimate", "result"},
     {"pipeline"},
     {"compare", "views"},
     {"batch", "experiments"},

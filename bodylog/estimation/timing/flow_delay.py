@@ -1,0 +1,294 @@
+"""A camera's delay from the motion of its picture and of the joints, without a marker, a body or a URDF.
+
+Flow y of a grid cell over the interval between two frames is J(q) Δq, with an unknown J that varies smoothly with the
+posture q. With a Gaussian process prior on J, flow has the covariance (Δq_i · Δq_j) k(q_i, q_j): the delay that makes
+the joints' Δq explain the flow has the highest marginal likelihood (Rasmussen & Williams 2006, section 5.4).
+Noise has Student's t distribution, one weight for all cells of an interval: foreign motion and glitches have little.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array, Series
+from .regression import Delay
+
+EARLIEST_S, LATEST_S = -0.3, 0.5
+"""Delays that are searched."""
+GRID_STEP_S = 0.02
+"""Distance of the delays that are tried first: a joint's motion is correlated over more than that."""
+FINE_STEPS_S = (0.01, 0.005)
+"""Distances of the delays that are tried around the best one; a parabola gives the rest."""
+MIN_EVIDENCE_NATS = 80.0
+"""Least evidence for a delay over delays that are FAR_S away. Joints of one episode beside images of another, of the
+same task, reach 51 nats; true pairs have 210 and more."""
+FAR_S = 0.2
+"""Distance of delays that a motion of arms tells apart: half a period of the fastest reaches."""
+LEAST_KNOTS = 4
+"""Fewest readings of a joint: a cubic needs four."""
+LEAST_INTERVALS = 40
+"""Fewest intervals between frames from which a delay is estimated."""
+MOST_INTERVALS = 300
+"""Intervals of one part of a log; a longer log has several parts, as the cost grows with the cube."""
+MOST_PARTS = 4
+"""Parts of a log that are used, evenly spread."""
+COMPONENTS = 6
+"""Principal components of the grid's flow: twice as many change delays by less than their σ."""
+POSTURE_LENGTH_RAD = 0.7
+"""Length scale over which the picture's motion per joint motion changes: half a right angle."""
+CONSTANT_SHARE = 0.5
+"""Prior variance of the part of J that no posture changes, over that of the part that varies."""
+FREEDOM = 4.0
+"""Degrees of freedom of the noise's t distribution."""
+NOISE_RATIOS = np.exp(np.linspace(-9.0, 6.0, 31))
+"""Ratios of the noise's variance to the mean eigenvalue of the motion's covariance that are tried."""
+REWEIGHTINGS = 2
+"""Rounds in which intervals are weighted anew."""
+JACKKNIFE_BLOCKS = 8
+"""Blocks of intervals that are left out in turn."""
+
+
+@dataclass(frozen=True)
+class FlowDelay:
+    """A delay by flow (s) with its σ, and the evidence for it over other delays (nats).
+
+    `joints`: indices of the joints that explain the flow best. `certain`: whether the evidence suffices; if not, the
+    value must not be used. `edge`: whether it lies at the end of the searched range.
+    """
+
+    delay: Delay
+    nats: float
+    joints: tuple[int, ...]
+    edge: bool
+
+    @property
+    def certain(self) -> bool:
+        """Whether the delay can be told."""
+        return self.nats >= MIN_EVIDENCE_NATS and not self.edge
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A stretch of a log: flow components (N,C), times (N,2) s, weights of the cells' rows (N,)."""
+
+    components: Array
+    times: Array
+
+
+def estimate_flow_delay(
+    joints: Series, times: Array, flow: Array, groups: Sequence[tuple[int, ...]], row_time_s: float
+) -> FlowDelay | None:
+    """The delay of a camera's stamps against the joints, positive where images are stamped late.
+
+    `times` (N,2) s and `flow` (N,rows,columns,2) are of perception's GridFlow. Of `groups` of joints the one with the
+    highest evidence explains the flow. `row_time_s`: time that a rolling shutter may take over the image; cells off
+    its middle row are read at another time, which σ contains. None with too few intervals or joints at rest.
+    """
+    parts = _split_into_parts(times, flow, joints)
+    if not parts:
+        return None
+    answers = [_delay_of_group(joints, parts, group) for group in groups if group]
+    told = [answer for answer in answers if answer is not None]
+    if not told:
+        return None
+    delay, nats, group, edge = max(told, key=lambda answer: answer[1])
+    row_std_s = _mean_row(flow) * row_time_s
+    std_s = float(np.hypot(delay.std_error, row_std_s))
+    return FlowDelay(Delay(delay.seconds, std_s), nats, group, edge)
+
+
+def _split_into_parts(times: Array, flow: Array, joints: Series) -> list[_Part]:
+    """Stretches of intervals for which the joints are known at every searched delay."""
+    inside = (times[:, 0] - LATEST_S > joints.t[0]) & (times[:, 1] - EARLIEST_S < joints.t[-1])
+    times = times[inside]
+    components = _principal_components(flow.reshape(len(flow), -1)[inside])
+    count = len(times)
+    if count < LEAST_INTERVALS:
+        return []
+    number = -(-count // MOST_INTERVALS)
+    size = count // number
+    chosen = np.unique(np.linspace(0, number - 1, min(number, MOST_PARTS)).round().astype(int))
+    return [
+        _Part(components[k * size : (k + 1) * size], times[k * size : (k + 1) * size])
+        for k in chosen.tolist()
+    ]
+
+
+def _principal_components(flow: Array) -> Array:
+    """Flow (N,K) as its leading components (N,C); intervals beyond the 95th percentile choose them no more."""
+    centred = flow - np.median(flow, axis=0)
+    length = np.linalg.norm(centred, axis=1)
+    shrink = np.minimum(1.0, np.quantile(length, 0.95) / np.maximum(length, 1e-9))
+    _, _, directions = np.linalg.svd(centred * shrink[:, None], full_matrices=False)
+    # a direction's sign has no meaning, but the bytes of the result should not depend on it
+    leading = directions[:COMPONENTS]
+    return np.asarray(centred @ leading.T)
+
+
+def _mean_row(flow: Array) -> float:
+    """Distance of the moving cells from the middle row, in image heights; half an image where nothing moves."""
+    energy = (flow**2).sum(axis=(2, 3))
+    typical = np.median(energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-12), axis=0)
+    if typical.sum() <= 0.0:
+        return 0.5
+    rows = (np.arange(flow.shape[1]) + 0.5) / flow.shape[1] - 0.5
+    return float(np.abs(typical @ rows) / typical.sum())
+
+
+def _delay_of_group(
+    joints: Series, parts: Sequence[_Part], group: tuple[int, ...]
+) -> tuple[Delay, float, tuple[int, ...], bool] | None:
+    """The delay by one group of joints: (delay, nats over other delays, group, at the edge of the range)."""
+    motion = _JointMotion.of(joints, group)
+    if motion is None:
+        return None
+    tried = np.arange(EARLIEST_S, LATEST_S + 0.5 * GRID_STEP_S, GRID_STEP_S)
+    evidence = np.sum([_scan_evidence(part, motion, tried) for part in parts], axis=0)
+    best = int(np.argmax(evidence))
+    far = np.abs(tried - tried[best]) > FAR_S - 0.5 * GRID_STEP_S
+    nats = float(evidence[best] - evidence[far].max())
+    edge = best in (0, len(tried) - 1)
+    seconds, curvature = _refine(parts, motion, float(tried[best]))
+    std_s = curvature**-0.5 if curvature > 0.0 else LATEST_S - EARLIEST_S
+    scatter_s = _jackknife_std(parts, motion, seconds)
+    return Delay(seconds, max(std_s, scatter_s)), nats, group, edge
+
+
+@dataclass(frozen=True, eq=False)
+class _JointMotion:
+    """Joint angles as functions of time: a cubic spline for each joint that moves."""
+
+    splines: tuple[Callable[[Array], Array], ...]
+
+    @staticmethod
+    def of(joints: Series, group: tuple[int, ...]) -> "_JointMotion | None":
+        """The motion of those joints of a group that move; None without one."""
+        from scipy.interpolate import CubicSpline
+
+        unit = 1.0 if joints.unit == "rad" else _widest_range(joints.values[:, list(group)])
+        splines: list[Callable[[Array], Array]] = []
+        for number in group:
+            values = joints.values[:, number]
+            finite = np.isfinite(values)
+            if not finite.any() or np.ptp(values[finite]) == 0.0:
+                continue
+            t, first = np.unique(joints.t[finite], return_index=True)
+            if len(t) >= LEAST_KNOTS:
+                splines.append(CubicSpline(t, values[finite][first] / unit))
+        return _JointMotion(tuple(splines)) if splines else None
+
+    def angles(self, t: Array) -> Array:
+        """Joint angles (N,M) at times (N,)."""
+        return np.column_stack([spline(t) for spline in self.splines])
+
+    def covariance_and_noise(self, times: Array, delay: float) -> tuple[Array, Array]:
+        """Covariance (N,N) of flow by the motion in intervals `times` (N,2), and relative noise variances (N,).
+
+        Flow errs in proportion to motion as well: at silhouettes, at occlusions.
+        """
+        begin = self.angles(times[:, 0] - delay)
+        end = self.angles(times[:, 1] - delay)
+        step = end - begin
+        posture = begin
+        square = (posture**2).sum(axis=1)
+        distance = np.maximum(square[:, None] + square[None] - 2.0 * posture @ posture.T, 0.0)
+        similarity = CONSTANT_SHARE + np.exp(-0.5 * distance / POSTURE_LENGTH_RAD**2)
+        squares = (step**2).sum(axis=1)
+        return (step @ step.T) * similarity, 1.0 + squares / max(float(squares.mean()), 1e-12)
+
+
+def _widest_range(values: Array) -> float:
+    """The widest range of joints (N,M) whose unit is unknown: it counts as one radian."""
+    finite = np.isfinite(values)
+    low = np.where(finite, values, np.inf).min(axis=0)
+    high = np.where(finite, values, -np.inf).max(axis=0)
+    return max(float(np.where(finite.any(axis=0), high - low, 0.0).max(initial=0.0)), 1e-12)
+
+
+def _scan_evidence(part: _Part, motion: _JointMotion, delays: Array) -> Array:
+    """Log marginal likelihood (K,) at ascending delays; each takes its neighbour's weights, which differ little."""
+    weights = np.ones(len(part.times))
+    found = np.empty(len(delays))
+    for number, delay in enumerate(delays.tolist()):
+        covariance, shape = motion.covariance_and_noise(part.times, delay)
+        found[number], weights = _evidence_and_weights(part.components, covariance, shape, weights)
+    return found
+
+
+def _total_evidence(parts: Sequence[_Part], motion: _JointMotion, delay: float) -> float:
+    return sum(_evidence(part, motion, delay) for part in parts)
+
+
+def _evidence(part: _Part, motion: _JointMotion, delay: float) -> float:
+    """Log marginal likelihood (nats) of a part's flow at a delay (s), noise and amplitude at their best."""
+    covariance, shape = motion.covariance_and_noise(part.times, delay)
+    weights = np.ones(len(shape))
+    value = 0.0
+    for _ in range(REWEIGHTINGS + 1):
+        value, weights = _evidence_and_weights(part.components, covariance, shape, weights)
+    return value
+
+
+def _evidence_and_weights(
+    components: Array, covariance: Array, shape: Array, weights: Array
+) -> tuple[float, Array]:
+    """Evidence with the given weights (N,), and the weights that leave-one-out residuals ask for.
+
+    A component has the covariance s (K + r D), D = diag(shape / weights); s is eliminated, r is the best of a table.
+    """
+    count, width = components.shape
+    noise = shape / weights
+    root = np.sqrt(noise)
+    values, vectors = np.linalg.eigh(covariance / np.outer(root, root))
+    values = np.maximum(values, 0.0)
+    ratios = NOISE_RATIOS * max(float(values.mean()), 1e-12)
+    power = (vectors.T @ (components / root[:, None])) ** 2  # (N,C)
+    spectra = values[None] + ratios[:, None]  # (R,N)
+    scales = np.maximum((1.0 / spectra) @ power / count, 1e-30)  # (R,C)
+    determinants = np.log(spectra).sum(axis=1)
+    evidence = -0.5 * (count * np.log(scales) + determinants[:, None] + count)
+    best = evidence.argmax(axis=0)
+    total = float(evidence[best, np.arange(width)].sum()) - 0.5 * width * float(np.log(noise).sum())
+    total += float(0.5 * FREEDOM * (np.log(weights) - weights + 1.0).sum())
+    squares = np.zeros(count)
+    for column in range(width):
+        spread = spectra[best[column]]
+        inverse = (vectors / spread) @ vectors.T
+        diagonal = np.diag(inverse)
+        residual = inverse @ (components[:, column] / root) / diagonal  # R&W (5.12)
+        squares += residual**2 * diagonal / scales[best[column], column]
+    return total, np.clip((FREEDOM + width) / (FREEDOM + squares / weights), 1e-4, 3.0)
+
+
+def _refine(parts: Sequence[_Part], motion: _JointMotion, delay: float) -> tuple[float, float]:
+    """The delay of highest evidence near `delay`, and the negative curvature of the evidence there (1/s²)."""
+    curvature = 0.0
+    for step in FINE_STEPS_S:
+        around = delay + step * np.array([-1.0, 0.0, 1.0])
+        left, middle, right = (_total_evidence(parts, motion, float(x)) for x in around)
+        curvature = (2.0 * middle - left - right) / step**2
+        if curvature > 0.0:
+            delay += float(np.clip(0.5 * (right - left) / (curvature * step), -step, step))
+        else:
+            delay += step * (float(np.argmax([left, middle, right])) - 1.0)
+    return delay, curvature
+
+
+def _jackknife_std(parts: Sequence[_Part], motion: _JointMotion, delay: float) -> float:
+    """σ of the delay (s) from delays that leave out one block of intervals each (Künsch 1989)."""
+    step = FINE_STEPS_S[0]
+    around = delay + step * np.array([-1.0, 0.0, 1.0])
+    whole = np.array([[_evidence(part, motion, float(x)) for x in around] for part in parts])
+    delays = []
+    share = JACKKNIFE_BLOCKS // len(parts)
+    for number, part in enumerate(parts):
+        for block in np.array_split(np.arange(len(part.times)), share):
+            rest = _Part(np.delete(part.components, block, axis=0), np.delete(part.times, block, axis=0))
+            reduced = np.array([_evidence(rest, motion, float(x)) for x in around])
+            left, middle, right = whole.sum(axis=0) - whole[number] + reduced
+            curvature = (2.0 * middle - left - right) / step**2
+            shift = 0.5 * (right - left) / (curvature * step) if curvature > 0.0 else step
+            delays.append(float(np.clip(shift, -2.0 * step, 2.0 * step)))
+    count = len(delays)
+    return float(np.sqrt((count - 1) / count * ((np.array(delays) - np.mean(delays)) ** 2).sum()))

@@ -1,0 +1,92 @@
+"""Whether a log's images are late against its joints, by the motion of the whole picture: no marker, body or URDF."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .types import Array, Recording, Series
+
+if TYPE_CHECKING:
+    from .estimation.timing.flow_delay import FlowDelay
+    from .perception.surface.flow import GridFlow
+
+LONGEST_KNOT_S = 0.02
+"""Longest distance of the times at which smoothed joints are known: well below the delays that matter."""
+KNOTS_PER_INTERVAL = 4
+"""Least number of these times between two images."""
+LEAST_READINGS = 8
+"""Fewest readings of a joint whose motion is smoothed."""
+_SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
+
+
+@dataclass(frozen=True)
+class CameraFlow:
+    """A camera's name, and its delay by flow; None where the images or the joints do not suffice."""
+
+    camera: str
+    found: "FlowDelay | None"
+
+
+def measure_flow_delays(read: Recording) -> Iterator[CameraFlow]:
+    """Yield the delay of each camera of a recording by flow; nothing without joints."""
+    from .estimation.timing.flow_delay import estimate_flow_delay
+    from .perception.surface.flow import measure_grid_flow
+
+    if read.joints is None or read.poses:
+        return
+    for name, film in {"": read.frames, **read.views}.items():
+        if film is None:
+            continue
+        seen = measure_grid_flow(film())
+        found = None
+        if seen is not None and len(seen.times) > 1:
+            interval_s = float(np.median(np.diff(seen.times, axis=1)))
+            joints = smooth_joints(read.joints, min(interval_s / KNOTS_PER_INTERVAL, LONGEST_KNOT_S))
+            groups = group_joints(joints.names)
+            found = estimate_flow_delay(joints, seen.times, seen.flow, groups, _longest_row_time(seen))
+        yield CameraFlow(name or "camera", found)
+
+
+def _longest_row_time(seen: "GridFlow") -> float:
+    """Time (s) that a rolling shutter may take: not more than from one distinct image to the next."""
+    return float(np.median(np.diff(seen.times, axis=1)))
+
+
+def group_joints(names: tuple[str, ...]) -> tuple[tuple[int, ...], ...]:
+    """Joints of the left side, of the right side and of neither, by the words of their names; one group if alike."""
+    sides: dict[str, list[int]] = {}
+    for number, name in enumerate(names):
+        words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)]
+        side = next((_SIDES[word] for word in words if word in _SIDES), "")
+        sides.setdefault(side, []).append(number)
+    return tuple(tuple(group) for group in sides.values())
+
+
+def smooth_joints(joints: Series, step_s: float) -> Series:
+    """Joints at evenly spaced times, by integrated Wiener processes of greatest evidence.
+
+    Interpolated readings would do harm: between two readings they have less noise than at them, and the delay at which
+    images fall between readings would win.
+    """
+    t = np.arange(joints.t[0], joints.t[-1], step_s)
+    columns = [_smooth_joint(joints.t, joints.values[:, k], t) for k in range(joints.values.shape[1])]
+    return replace(joints, t=t, values=np.column_stack(columns), source_ns=np.zeros(len(t), np.int64), std=None)
+
+
+def _smooth_joint(t: Array, values: Array, at: Array) -> Array:
+    """A joint's angle at the times `at` (K,); NaN without enough readings, constant for a joint at rest."""
+    from .body.data import angle_smoother
+
+    finite = np.isfinite(values)
+    if finite.sum() < LEAST_READINGS:
+        return np.full(len(at), np.nan)
+    if np.ptp(values[finite]) == 0.0:
+        return np.full(len(at), values[finite][0])
+    chain = angle_smoother.chain(t[finite], values[finite])
+    motions = [angle_smoother.fit([chain], order) for order in (2, 3)]
+    best = max(motions, key=lambda motion: motion.evidence)
+    inside = np.clip(at, chain.t[0], chain.t[-1])
+    return angle_smoother.posterior(chain, best, inside)[0]

@@ -1,0 +1,114 @@
+"""Optical flow between frames, averaged over a grid of cells: how the picture moves, wherever the arm may be."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError
+from ...types import Array, Frame
+from ..colours.coarse_search import gray
+from .repeats import SHRINK, FrameRepeats, RepeatSearch, shrink_grey
+
+FLOW_WIDTH_PX = 320
+"""Width at which flow is computed: twice that changes delays by less than their σ and costs four times as much."""
+GRID_ROWS, GRID_COLUMNS = 6, 8
+"""Cells of the grid: each is wider than the features that flow needs, and narrower than a forearm."""
+
+
+@dataclass(frozen=True, eq=False)
+class GridFlow:
+    """Flow of a camera between its distinct frames.
+
+    times (N,2) s: stamps of the earlier and the later frame · flow (N,rows,columns,2) pixels at FLOW_WIDTH_PX, along
+    u and v · brightness (M,) 99th percentile of each stored frame, grey levels · sharpness (M,) variance of its
+    Laplacian, grey levels² · repeats: which stored frames repeat their predecessor · size (width, height) px.
+    """
+
+    times: Array
+    flow: Array
+    brightness: Array
+    sharpness: Array
+    repeats: FrameRepeats
+    size: tuple[int, int]
+
+
+def measure_grid_flow(frames: Iterable[Frame]) -> GridFlow | None:
+    """Decode frames once, find repeats, and measure flow between distinct ones; None without two frames.
+
+    Frames that cannot be decoded, and frames of another size than the first, are left out.
+    """
+    import cv2
+
+    search = RepeatSearch()
+    times: list[float] = []
+    flows: list[Array] = []
+    brightness: list[float] = []
+    sharpness: list[float] = []
+    estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
+    before: Array | None = None
+    size = (0, 0)
+    for t, image in _grey_frames(frames):
+        if not times:
+            size = (image.shape[1], image.shape[0])
+        elif (image.shape[1], image.shape[0]) != size:
+            continue
+        search.add(t, shrink_grey(image))
+        small = _shrink_to_flow_width(image)
+        if before is not None:
+            flows.append(_cell_means(estimator, before, small))
+        brightness.append(float(np.percentile(small, 99)))
+        sharpness.append(float(cv2.Laplacian(small, cv2.CV_32F).var()))
+        times.append(t)
+        before = small
+    if len(times) < 2:
+        return None
+    repeats = search.repeats()
+    intervals = _distinct_intervals(repeats)
+    return GridFlow(
+        np.array(times)[intervals],
+        np.array(flows)[intervals[:, 1] - 1],
+        np.array(brightness),
+        np.array(sharpness),
+        repeats,
+        size,
+    )
+
+
+def _grey_frames(frames: Iterable[Frame]) -> Iterator[tuple[float, Array]]:
+    """Yield time (s) and grey image (H,W) uint8 of each frame that can be decoded."""
+    for frame in frames:
+        try:
+            yield frame.t, gray(frame.decode(1))
+        except InputError:
+            continue
+
+
+def _shrink_to_flow_width(image: Array) -> Array:
+    import cv2
+
+    height, width = image.shape
+    if width <= FLOW_WIDTH_PX:
+        return image
+    size = (FLOW_WIDTH_PX, max(round(height * FLOW_WIDTH_PX / width), SHRINK))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+
+
+def _cell_means(estimator: Any, before: Array, after: Array) -> Array:
+    """Mean flow in each cell (rows,columns,2) px; zero where the images are equal."""
+    import cv2
+
+    if np.array_equal(before, after):
+        return np.zeros((GRID_ROWS, GRID_COLUMNS, 2), np.float32)
+    flow = estimator.calc(before, after, None)
+    return np.asarray(cv2.resize(flow, (GRID_COLUMNS, GRID_ROWS), interpolation=cv2.INTER_AREA))
+
+
+def _distinct_intervals(repeats: FrameRepeats) -> Array:
+    """Indices (N,2) of stored frames: the first copy of each distinct frame and that of the next one.
+
+    The flow into a distinct frame is measured from the last copy of its predecessor, which shows the same picture.
+    """
+    first_copies = np.flatnonzero(~repeats.repeated)
+    return np.column_stack([first_copies[:-1], first_copies[1:]])

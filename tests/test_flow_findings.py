@@ -1,0 +1,85 @@
+"""Delays by the motion of the whole picture: recovered where joints and images belong together, refused elsewhere."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bodylog.estimation.timing.flow_delay import estimate_flow_delay
+from bodylog.flow_findings import group_joints, measure_flow_delays, smooth_joints
+from bodylog.recording import recording
+from bodylog.settings import Settings
+from bodylog.types import Array, Series
+
+G1 = Path(__file__).parents[2] / "shared/real/g1"
+NAMES = ("left_pan", "left_lift", "right_pan", "right_lift", "right_elbow")
+
+
+def angles(seed: int, t: Array) -> Array:
+    """Five joints (N,5) rad: smooth curves whose speeds change all the time."""
+    rng = np.random.default_rng(seed)
+    rates = rng.uniform(0.1, 0.9, (6, len(NAMES)))
+    phases = rng.uniform(0.0, 2.0 * np.pi, (6, len(NAMES)))
+    return np.asarray(0.25 * np.sin(2.0 * np.pi * rates * t[:, None, None] + phases).sum(axis=1))
+
+
+def recorded(seed: int, noise: float) -> Series:
+    """Joints at 100 Hz for 16 s."""
+    t = np.arange(0.0, 16.0, 0.01)
+    values = angles(seed, t) + np.random.default_rng(seed + 100).normal(0.0, noise, (len(t), len(NAMES)))
+    return Series(t, values, NAMES, "rad", np.zeros(len(t), np.int64))
+
+
+def filmed(seed: int, delay: float) -> tuple[Array, Array]:
+    """Stamps (N,2), late by `delay` s, and the flow that the right arm causes, with noise and glitches."""
+    rng = np.random.default_rng(seed + 200)
+    true = np.arange(1.0, 15.0, 1.0 / 15.0)
+    times = np.column_stack([true[:-1], true[1:]])
+    begin, end = angles(seed, times[:, 0])[:, 2:], angles(seed, times[:, 1])[:, 2:]
+    constant, varying = rng.normal(0.0, 30.0, (96, 3)), rng.normal(0.0, 20.0, (96, 3, 3))
+    slope = constant + np.einsum("nk,cjk->ncj", begin, varying)
+    flow = np.einsum("ncj,nj->nc", slope, end - begin) + rng.normal(0.0, 0.3, (len(times), 96))
+    flow[rng.choice(len(times), 6, replace=False)] += rng.normal(0.0, 20.0, (6, 96))
+    return times + delay, flow.reshape(-1, 6, 8, 2)
+
+
+@pytest.mark.parametrize(("seed", "delay"), [(0, 0.083), (1, -0.05), (2, 0.0)])
+def test_delay_is_recovered_with_its_error_bar(seed: int, delay: float) -> None:
+    joints = smooth_joints(recorded(seed, 0.002), 0.015)
+    times, flow = filmed(seed, delay)
+    found = estimate_flow_delay(joints, times, flow, group_joints(NAMES), 0.0)
+    assert found is not None and found.certain
+    assert found.joints == (2, 3, 4)
+    assert abs(found.delay.seconds - delay) < min(3.0 * found.delay.std_error + 0.0005, 0.006)
+
+
+def test_images_of_another_motion_are_refused() -> None:
+    joints = smooth_joints(recorded(0, 0.002), 0.015)
+    for seed in (5, 6):
+        times, flow = filmed(seed, 0.05)
+        found = estimate_flow_delay(joints, times, flow, group_joints(NAMES), 0.0)
+        assert found is None or not found.certain
+
+
+def test_a_rolling_shutter_that_may_be_there_widens_the_error_bar() -> None:
+    joints = smooth_joints(recorded(0, 0.002), 0.015)
+    times, flow = filmed(0, 0.05)
+    flow = flow * np.linspace(0.0, 1.0, 6)[None, :, None, None]  # the arm fills the lower rows
+    sharp, rolling = (estimate_flow_delay(joints, times, flow, group_joints(NAMES), row_s) for row_s in (0.0, 0.06))
+    assert sharp is not None and rolling is not None
+    assert rolling.delay.std_error > sharp.delay.std_error + 0.005
+
+
+def test_joints_are_grouped_by_the_side_in_their_names() -> None:
+    assert group_joints(("kLeftElbow", "kRightElbow", "left_arm", "waist", "R_wrist")) == ((0, 2), (1, 4), (3,))
+    assert group_joints(("0", "1")) == ((0, 1),)
+
+
+@pytest.mark.skipif(not G1.is_dir(), reason="the recorded humanoid is not in ../shared/real/g1")
+def test_the_delay_of_a_recorded_humanoid_is_told_without_marker_or_urdf() -> None:
+    read = recording.read(Path(f"{G1}#1"), Settings())
+    (camera,) = measure_flow_delays(read)
+    assert camera.found is not None and camera.found.certain
+    # an adjustment with the URDF gives 85.2 ms
+    assert abs(camera.found.delay.seconds - 0.0852) < min(0.02, 2.0 * camera.found.delay.std_error + 0.005)
+    assert {read.joints.names[k][:6] for k in camera.found.joints} == {"kRight"}  # type: ignore[union-attr]
