@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from .body_model import BodyModel
 from .errors import FormatError, LogError, ModelError
 from .settings import Settings
-from .types import Array, Features, Finding
+from .types import Array, Features, Finding, Recording
 from .wording import listed
 
 if TYPE_CHECKING:
@@ -228,6 +228,37 @@ def _hints(
             break
         hints[name] = hint if name else with_known(hint, settings.camera, robot)
     return hints
+
+
+def named_robot(log: Path, settings: Settings) -> "Robot":
+    """The robot of the URDF that the settings name, or of the log's own. LogError where that is missing."""
+    from .kinematics import urdf
+    from .recording.robot_description import described
+
+    chosen = settings.kinematics.urdf
+    if chosen not in (None, FROM_LOG):
+        return urdf.load(Path(str(chosen)), settings.input)
+    text = described(log, settings.input).urdf
+    if not text:
+        raise LogError(_NO_URDF.format(log))
+    return _from_log(log, text, settings)
+
+
+def camera_hints(log: Path, robot: "Robot", read: Recording, settings: Settings) -> "dict[str, CameraHint]":
+    """What a log says of its cameras' links, poses and lenses, by name, "" the first, of which [camera] tells too."""
+    from .kinematics.links import CameraHint
+    from .known_camera import with_known
+    from .recording.robot_description import described
+
+    description = described(log, settings.input)
+    topics = {role.partition("/")[2]: path for role, path in read.roles.items() if role.partition("/")[0] == "camera"}
+    hints = {}
+    for name, topic in topics.items():
+        info = _info(topic, description.cameras)
+        if info is not None:
+            link, pose = _placed(info.frame, robot, description.transforms)
+            hints[name] = CameraHint(link, pose, _lens(info), (info.width, info.height))
+    return {**hints, "": with_known(hints.get("", CameraHint()), settings.camera, robot)}
 
 
 def _info(topic: str | None, cameras: "Mapping[str, CameraInfo]") -> "CameraInfo | None":

@@ -18,6 +18,7 @@ FIGURES: Mapping[str, str] = {
     "range": "rad", "influence": "px", "length_scale": "rad",
     "offset": "rad", "std/offset": "rad", "scale": "1", "std/scale": "1",
     "faults": "1", "fault": "", "delay": "s", "std/delay": "s",
+    "row_time": "s", "std/row_time": "s", "focal": "px", "std/focal": "px", "rmse/surface": "px",
 }  # fmt: skip
 """Unit of each figure; a linear joint's offset is in m, a fault's size in its own unit."""
 RENAMED: Mapping[str, str] = {

@@ -93,13 +93,11 @@ def test_doctor_says_why_it_measures_no_delay(body, tmp_path):
     assert "no moving joints" in pipeline.doctor(alone, None, Settings(), body=body).findings[-1].text
 
 
-def test_doctor_looks_at_part_of_a_long_log(monkeypatch):
+def test_doctor_looks_at_part_of_a_long_log():
     from bodylog.recording import recording
 
-    monkeypatch.setattr(delay_findings, "LONGEST", 10.0)
-    monkeypatch.setattr(delay_findings, "MOST", 50)
     read = recording.read(ARM / "explore.mcap", Settings())
-    part = delay_findings._middle(replace(read, views={"side": read.frames}))
+    part = delay_findings.middle(replace(read, views={"side": read.frames}), 10.0, 50)
     t = [frame.t for frame in part.frames()]
     assert 30 <= len(t) <= 40 and 14.9 < t[0] < 15.3 and 24.5 < t[-1] < 25.1
     assert np.ptp(part.joints.t) <= 10.0 and len(part.joints.t) == len(part.joints.values) == len(part.joints.source_ns)

@@ -197,7 +197,7 @@ class Space:
     ) -> Rig:  # fmt: skip
         """The rig of some tracks with their cameras and markers on given links."""
         names = list(dict.fromkeys(track.camera for track in tracks))
-        cameras = tuple(_camera(name, placed[name], hints.get(name, CameraHint()), self.robot) for name in names)
+        cameras = tuple(hinted_camera(name, placed[name], hints.get(name, CameraHint()), self.robot) for name in names)
         things = {track.marker: track for track in tracks}
         carriers = tuple(_carrier(name, markers[name], len(track.points) > 1) for name, track in things.items())
         sights = tuple(
@@ -222,7 +222,8 @@ _SLIDE = 0.1
 """m per rad: prior std of a prismatic joint's zero over a revolute one's; 5° correspond to 9 mm."""
 
 
-def _camera(name: str, link: str, hint: CameraHint, robot: Robot) -> Camera:
+def hinted_camera(name: str, link: str, hint: CameraHint, robot: Robot) -> Camera:
+    """The camera on a link, with what the log says of its pose and lens, and how sure that is."""
     width, height = hint.size or hint.extent or (640, 480)
     numbers, known = (lens(width, width, height), FREE_LENS) if hint.lens is None else (hint.lens, INFO_LENS)
     if hint.lens_std is not None:

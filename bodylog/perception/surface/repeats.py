@@ -19,6 +19,8 @@ _REPEAT_SHARE = 0.3
 """Largest change of a repeat, as a share of the lesser change beside it, both above the noise of coding."""
 _LEAST_MOTION_GREY = 1.5
 """Grey levels above the noise that the images beside a repeat change at least; less is no motion."""
+_MOST_NOISE_GREY = 3.0
+"""Grey levels that coding changes in a still scene, at most: 0.7 to 2.2 in real films. More is motion."""
 _REVERSAL_SHARE = 0.75
 """Changes that fall to this share towards an instant from both sides: a motion that stops or reverses, no repeat."""
 _LEAST_JUDGED = 20
@@ -127,7 +129,7 @@ def shrink_grey(image: Array) -> Array:
 def _judge(change: Array, equal: Array) -> tuple[Array, Array]:
     """Which frames repeat their predecessor, and of which that can be told, both (N,)."""
     finite = change[np.isfinite(change) & ~equal]
-    noise = float(np.percentile(finite, 5.0)) if len(finite) else 0.0
+    noise = min(float(np.percentile(finite, 5.0)), _MOST_NOISE_GREY) if len(finite) else 0.0
     motion = np.where(np.isfinite(change) & ~equal, np.maximum(change - noise, 0.0), 0.0)
     first = ~np.isfinite(change)
     before, slows = _beside(motion)

@@ -1,0 +1,95 @@
+"""How far the shared unknowns may be off: errors that a link's landmarks share, and a block sandwich, the larger."""
+
+import numpy as np
+
+from ..types import Array
+from .landmark_adjustment import RESIDUAL_STD_PX
+from .landmark_fit import LandmarkFit
+
+COMMON_STD_PX = 0.7
+"""Error that all landmarks of a link share at one instant: highlights and silhouettes move alike (0.5 to 1 px)."""
+BLOCK_S = 2.0
+"""Blocks of the sandwich: one link's rows within this time."""
+ZERO_FLOOR_PX = 1.0
+"""Systematic error of a link in the image, which bounds what is known of the zero that moves it."""
+
+DELAY_FLOOR_S = 0.001
+"""Systematic error of a delay: rendered logs whose delay is zero were given 0.2, 1.8 and -2.1 ms."""
+ROW_TIME_FLOOR_S = 0.02
+"""Systematic error of the row time: a rendered camera without one was given -19 ms, sets of real episodes 57 to 88."""
+
+
+ZERO_SCATTER = 2.5
+"""Factor on the standard deviations of zeros: two real episodes differ by 2.1 to 3.4 of the model's, in 4 joints."""
+
+
+def unknowns_covariance(fit: LandmarkFit) -> Array:
+    """Covariance (P,P) of φ; the prior's for unknowns that were not estimated.
+
+    The larger, for each unknown, of two: the residual model (each piece an Ornstein-Uhlenbeck process, and one that a
+    link's pieces share), and a sandwich over blocks of one link and BLOCK_S. Factors and floors from the scatter of
+    disjoint logs then widen zeros and row time.
+    """
+    part = np.ix_(fit.free, fit.free)
+    inverse = np.linalg.inv(fit.reduced.matrix[part])
+    prior = np.diag(fit.model.prior[1][fit.free] ** -2.0)
+    weighted, scores = _scores(fit)
+    flat = weighted.reshape(-1, weighted.shape[2])
+    modelled = inverse @ (prior + (flat.T @ flat + _shared_meat(fit, weighted))[part]) @ inverse
+    scatter = inverse @ (prior + _block_meat(fit, scores)[part]) @ inverse
+    std = np.sqrt(np.diag(modelled))
+    widen = np.maximum(np.sqrt(np.diag(scatter)) / std, 1.0)
+    zeros = np.zeros(len(fit.phi), bool)
+    zeros[fit.model.rig.of_joints] = True
+    widen[zeros[fit.free]] *= ZERO_SCATTER
+    result = np.diag(np.square(fit.model.prior[1]))
+    result[part] = modelled * widen * widen[:, None]
+    return _with_floor(fit, result)
+
+
+def _scores(fit: LandmarkFit) -> tuple[Array, Array]:
+    """Weighted designs (R,2,P) and scores (R,P) of each row."""
+    weighted = fit.reduced.rows * fit.reduced.weight[:, None, None]
+    return weighted, np.einsum("nip,ni->np", weighted, fit.reduced.innovation)
+
+
+def _shared_meat(fit: LandmarkFit, weighted: Array) -> Array:
+    """Scatter (P,P) of the scores by the innovations that a link's rows of one image share."""
+    groups = _groups(fit, 1e-4)
+    sums = np.zeros((int(groups.max()) + 1, *weighted.shape[1:]))
+    np.add.at(sums, groups, weighted)
+    flat = sums.reshape(-1, weighted.shape[2])
+    return np.asarray((COMMON_STD_PX / RESIDUAL_STD_PX) ** 2 * flat.T @ flat)
+
+
+def _block_meat(fit: LandmarkFit, scores: Array) -> Array:
+    """Scatter (P,P) of the scores' sums over blocks."""
+    groups = _groups(fit, BLOCK_S)
+    sums = np.zeros((int(groups.max()) + 1, scores.shape[1]))
+    np.add.at(sums, groups, scores)
+    return np.asarray(sums.T @ sums)
+
+
+def _groups(fit: LandmarkFit, width_s: float) -> Array:
+    """Numbers (R,) of the rows that have log, body and time, in steps of width_s, in common."""
+    body = fit.landmarks.body[fit.seen.piece]
+    keys = np.stack([fit.seen.log, body, np.floor(fit.seen.t / width_s)], axis=1)
+    return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1]).reshape(-1)
+
+
+def _with_floor(fit: LandmarkFit, covariance: Array) -> Array:
+    """Add the floors of delays and row time, and to each zero ZERO_FLOOR_PX by the pixels that a radian moves."""
+    predicted = fit.model.predict(fit.phi, fit.seen, fit.landmarks.body, fit.landmarks.places)
+    moved = np.sqrt(np.square(predicted.by_joints).sum(axis=1))
+    result = covariance.copy()
+    delays = np.arange(fit.model.of_delays.start, fit.model.of_delays.stop)
+    result[delays, delays] += DELAY_FLOOR_S**2
+    row = fit.model.of_row_time
+    if fit.free[row]:  # what the row time is off by, the others follow
+        along = result[:, row] / result[row, row]
+        result += ROW_TIME_FLOOR_S**2 * np.outer(along, along)
+    for joint, index in enumerate(range(fit.model.rig.of_joints.start, fit.model.rig.of_joints.stop)):
+        seeing = moved[:, joint][moved[:, joint] > 0.0]
+        if len(seeing):
+            result[index, index] += (ZERO_FLOOR_PX / float(np.sqrt(np.square(seeing).mean()))) ** 2
+    return result

@@ -1,0 +1,203 @@
+"""Landmarks on links: natural points whose places are unknown, seen by one camera while the joints move.
+
+Landmark j lies at the unknown place X_j of link l(j). A row of sightings at image time t in image row v shows it at
+
+    (u, v) = π(lens, camera · FK_l(q(t − τ + ρ (v/H − ½)) + δ) · X_j)
+
+with the camera's delay τ of that log, its row time ρ (s from the first to the last row of an image, H px high), and the
+joints' zeros δ. The unknowns that landmarks share are the rig's θ, then one delay per log, then the row time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..types import Array
+from .camera import project
+from .chain import Chain
+from .joint_motion import JointMotion
+from .rig import Rig
+from .rotations import exponential, left_jacobian, skew
+
+DELAY_STD_S = 0.3
+"""Prior std of a camera's delay."""
+ROW_TIME_STD_S = 0.04
+"""Prior std of the time between an image's first and last row."""
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkBody:
+    """A rigid part of the robot that can bear landmarks: its uppermost link, and the chain to it from the camera's.
+
+    centre (3,) m and size m: where on it points are expected, from the origins of its links and of what hangs on it.
+    """
+
+    link: str
+    chain: Chain
+    centre: Array
+    size: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Pieces of corner tracks, all logs together, row by row, each piece's rows in sequence.
+
+    piece (R,) from 0, ascending · log (R,) · t (R,) s, image times in their log · uv (R,2) px · height of images, px.
+    """
+
+    piece: Array
+    log: Array
+    t: Array
+    uv: Array
+    height: float
+
+    @cached_property
+    def begins(self) -> Array:
+        """The first row (K,) of each piece."""
+        return np.flatnonzero(np.diff(self.piece, prepend=-1))
+
+    @property
+    def count(self) -> int:
+        """The number of pieces."""
+        return len(self.begins)
+
+    @property
+    def lengths(self) -> Array:
+        """The number of rows (K,) of each piece."""
+        return np.diff(np.append(self.begins, len(self.piece)))
+
+    def sums(self, values: Array) -> Array:
+        """Sums (K,…) of rows (R,…) over each piece."""
+        return np.asarray(np.add.reduceat(values, self.begins, axis=0))
+
+    def take(self, pieces: Array) -> "Sightings":
+        """The pieces with these numbers (k,), ascending, numbered anew."""
+        number = np.full(self.count, -1)
+        number[pieces] = np.arange(len(pieces))
+        rows = number[self.piece] >= 0
+        return Sightings(number[self.piece[rows]], self.log[rows], self.t[rows], self.uv[rows], self.height)
+
+    def thinned(self, every: int) -> "Sightings":
+        """Every n-th row of each piece, beginning with its first."""
+        place = np.arange(len(self.piece)) - self.begins[self.piece]
+        rows = place % every == 0
+        return Sightings(self.piece[rows], self.log[rows], self.t[rows], self.uv[rows], self.height)
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkModel:
+    """A rig with one camera and no markers, the bodies that bear landmarks, and the motion of each log's joints.
+
+    Its unknowns φ (P,) are the rig's θ, one delay (s) per log, and the row time (s).
+    """
+
+    rig: Rig
+    bodies: tuple[LandmarkBody, ...]
+    motions: tuple[JointMotion, ...]
+
+    @cached_property
+    def prior(self) -> tuple[Array, Array]:
+        """Prior mean (P,) and standard deviation (P,) of φ."""
+        mean, std = self.rig.prior
+        logs = len(self.motions)
+        return (
+            np.concatenate([mean, np.zeros(logs + 1)]),
+            np.concatenate([std, np.full(logs, DELAY_STD_S), [ROW_TIME_STD_S]]),
+        )
+
+    @property
+    def of_delays(self) -> slice:
+        """The logs' delays in φ."""
+        end = len(self.prior[0]) - 1
+        return slice(end - len(self.motions), end)
+
+    @property
+    def of_row_time(self) -> int:
+        """The row time in φ."""
+        return len(self.prior[0]) - 1
+
+    def joints_at(self, phi: Array, seen: Sightings) -> tuple[Array, Array, Array]:
+        """Joint angles and speeds (R,M) when each row was exposed, and its row's share (R,) of the image, −½ to ½."""
+        share = seen.uv[:, 1] / seen.height - 0.5
+        exposed = seen.t - phi[self.of_delays][seen.log] + phi[self.of_row_time] * share
+        joints = len(self.rig.joints)
+        angles, speeds = np.empty((len(exposed), joints)), np.empty((len(exposed), joints))
+        for log, motion in enumerate(self.motions):
+            rows = seen.log == log
+            angles[rows], speeds[rows] = motion.at(exposed[rows])
+        return angles, speeds, share
+
+    def frames(self, phi: Array, seen: Sightings, body: int) -> tuple[Array, Array]:
+        """Rotation (R,3,3) and place (R,3) m of a body in the camera at each row."""
+        return _in_camera(self, phi, self.joints_at(phi, seen)[0], body)
+
+    def predict(self, phi: Array, seen: Sightings, body: Array, places: Array) -> "Prediction":
+        """Predict the rows of pieces on the bodies with numbers (K,), at places (K,3) m on them."""
+        return _predict(self, phi, seen, body, places)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """image (R,2) px · by_place (R,2,3) px/m · by_shared (R,2,P) by φ · by_joints (R,2,M) px/rad · depth (R,) m."""
+
+    image: Array
+    by_place: Array
+    by_shared: Array
+    by_joints: Array
+    depth: Array
+
+
+def _in_camera(model: LandmarkModel, phi: Array, angles: Array, body: int) -> tuple[Array, Array]:
+    rig = model.rig
+    poses = model.bodies[body].chain.at(rig.angles(phi[: len(rig.prior[0])], angles))
+    camera = rig.camera_pose(0, phi)
+    return camera[:3, :3] @ poses.rotation, poses.place @ camera[:3, :3].T + camera[:3, 3]
+
+
+def _predict(model: LandmarkModel, phi: Array, seen: Sightings, body: Array, places: Array) -> Prediction:
+    rig, rows = model.rig, len(seen.piece)
+    theta = phi[: len(rig.prior[0])]
+    angles, speeds, share = model.joints_at(phi, seen)
+    image, depth = np.empty((rows, 2)), np.empty(rows)
+    by_place = np.empty((rows, 2, 3))
+    by_joints = np.empty((rows, 2, len(rig.joints)))
+    by_shared = np.zeros((rows, 2, len(phi)))
+    anchor, pose = rig.cameras[0].anchor, theta[:6]
+    turn = exponential(pose[3:])
+    body_of_row = body[seen.piece]
+    for number in np.unique(body):
+        at = np.flatnonzero(body_of_row == number)
+        chain = model.bodies[int(number)].chain
+        poses = chain.at(rig.angles(theta, angles[at]))
+        linked = np.einsum("nij,nj->ni", poses.rotation, places[seen.piece[at]]) + poses.place
+        turned = (linked @ anchor[:3, :3].T + anchor[:3, 3]) @ turn.T
+        seen_at, by_point, by_lens = project(turned + pose[:3], theta[6:12])
+        to_link = by_point @ (turn @ anchor[:3, :3])
+        image[at], depth[at] = seen_at, turned[:, 2] + pose[2]
+        by_place[at] = to_link @ poses.rotation
+        by_joints[at] = to_link @ chain.slopes(poses, linked[:, None])[:, 0]
+        by_shared[at, :, :3] = by_point
+        by_shared[at, :, 3:6] = by_point @ (-skew(turned) @ left_jacobian(pose[3:]))
+        by_shared[at, :, 6:12] = by_lens
+    by_shared[:, :, rig.of_joints] = by_joints
+    by_time = np.einsum("nim,nm->ni", by_joints, speeds)
+    delays = model.of_delays.start + seen.log
+    by_shared[np.arange(rows), :, delays] = -by_time
+    by_shared[:, :, model.of_row_time] = by_time * share[:, None]
+    return Prediction(image, by_place, by_shared, by_joints, depth)
+
+
+def sightings(
+    pieces: Sequence[tuple[Array, Array, Array]], height: float
+) -> Sightings:
+    """Join the logs' tracks: of each log (piece (R,), t (R,) s, uv (R,2) px)."""
+    numbers, logs, offset = [], [], 0
+    for log, (piece, _, _) in enumerate(pieces):
+        numbers.append(piece + offset)
+        logs.append(np.full(len(piece), log))
+        offset += int(piece[-1]) + 1 if len(piece) else 0
+    t = np.concatenate([part[1] for part in pieces])
+    uv = np.concatenate([part[2] for part in pieces])
+    return Sightings(np.concatenate(numbers), np.concatenate(logs), t, uv, height)

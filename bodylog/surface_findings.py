@@ -1,0 +1,90 @@
+"""Judge a log by the robot's own surface, for `doctor LOG --urdf ROBOT.urdf`: delay, lens, row time, joint zeros."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from .delay_findings import Examined, middle
+from .errors import EvidenceError
+from .settings import Settings
+from .surface_calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, calibrate_cameras
+from .types import Finding, Score
+
+SIGNIFICANT_SIGMA = 3.0
+LATE_S = 0.003
+"""A delay below this matters to nobody."""
+
+
+def examine(log: Path, settings: Settings) -> Examined:
+    """Calibrate each camera of a log by the surface and judge the log with that; a finding where that cannot be.
+
+    ModelError where the URDF has no joint of the log.
+    """
+    from .recording import recording
+
+    read = middle(recording.read(log, settings, settings.input.strict), LONGEST_S, MOST_IMAGES)
+    scores, findings = list[Score](), list[Finding]()
+    try:
+        for one in calibrate_cameras(log, read, settings):
+            if isinstance(one, EvidenceError):
+                findings.append(Finding("info", f"{one}; nothing is learned from its images"))
+                continue
+            scores += _scores(one)
+            findings += [Finding(f.severity, f"{log}: {f.text}") for f in _findings(one)]
+    except EvidenceError as problem:
+        findings.append(Finding("info", str(problem)))
+    return Examined(tuple(scores), tuple(findings))
+
+
+def _scores(one: SurfaceCalibration) -> Iterator[Score]:
+    import numpy as np
+
+    from .body.kinematic.scores import zeros
+    from .kinematics.identifiability import offsets
+
+    name = one.camera or "camera"
+    fit, std = one.fit, np.sqrt(np.diag(one.covariance))
+    model = fit.model
+    delay, row = model.of_delays.start, model.of_row_time
+    focal = float(np.exp(fit.phi[6]))
+    yield Score(f"delay/{name}", float(fit.phi[delay]), "s")
+    yield Score(f"std/delay/{name}", float(std[delay]), "s")
+    yield Score(f"row_time/{name}", float(fit.phi[row]), "s")
+    yield Score(f"std/row_time/{name}", float(std[row]), "s")
+    yield Score(f"focal/{name}", focal, "px")
+    yield Score(f"std/focal/{name}", focal * float(std[6]), "px")
+    yield Score(f"rmse/surface/{name}", fit.error_px, "px")
+    yield Score(f"used_share/{name}", len(fit.used) / one.moving, "1")
+    yield from zeros(offsets(model.rig, fit.phi, one.covariance))
+
+
+def _findings(one: SurfaceCalibration) -> Iterator[Finding]:
+    import numpy as np
+
+    from .estimation.timing.correction import worded
+    from .kinematics.identifiability import offsets, unidentified
+
+    name = one.camera or "camera"
+    fit, std = one.fit, np.sqrt(np.diag(one.covariance))
+    model = fit.model
+    links = len({int(body) for body in fit.landmarks.body if len(model.bodies[int(body)].chain.column)})
+    text = f"{len(fit.used)} of {one.moving} moving corners lie on {links} links, {fit.error_px:.2f} px off per axis"
+    yield Finding("info", f"{name}: {text}")
+    delay, error = float(fit.phi[model.of_delays.start]), float(std[model.of_delays.start])
+    words = f"{name}: {worded(delay, error)}, by the robot's surface"
+    if abs(delay) > max(SIGNIFICANT_SIGMA * error, LATE_S):
+        yield Finding("warning", f"{words}; fit and estimate measure and correct it")
+    else:
+        yield Finding("info", f"{words}; not significant")
+    row, row_error = float(fit.phi[model.of_row_time]), float(std[model.of_row_time])
+    if abs(row) > SIGNIFICANT_SIGMA * row_error:
+        yield Finding("info", f"{name}: a rolling shutter takes {1e3 * row:.0f} ± {1e3 * row_error:.0f} ms an image")
+    focal = float(np.exp(fit.phi[6]))
+    yield Finding("info", f"{name}: focal length {focal:.0f} ± {focal * float(std[6]):.0f} px")
+    found = offsets(model.rig, fit.phi, one.covariance)
+    for zero in found:
+        if zero.identifiable and abs(zero.value) > SIGNIFICANT_SIGMA * zero.std:
+            yield Finding("warning", f"{zero.joint}: its zero is off by {zero.shown}")
+    for reason in unidentified(found):
+        yield Finding("info", reason)
+    if one.still_joints:
+        yield Finding("info", f"joints at rest, of which nothing is told: {', '.join(one.still_joints)}")

@@ -1,0 +1,169 @@
+"""Landmarks on links: derivatives, links chosen, camera and delay found, and how sure that is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.kinematics import urdf
+from bodylog.kinematics.joint_motion import JointMotion, joint_motion
+from bodylog.kinematics.landmark_adjustment import Landmarks, adjust, assign, reduce_normal, whiten
+from bodylog.kinematics.landmark_errors import unknowns_covariance
+from bodylog.kinematics.landmark_fit import LandmarkFit, build_model, search_delay, staged_fit
+from bodylog.kinematics.landmarks import LandmarkModel, Sightings, sightings
+from bodylog.kinematics.links import FREE_LENS, TF_POSE, Space
+from bodylog.kinematics.rig import Camera
+from bodylog.types import Array
+
+JOINTS = ("pan", "lift", "elbow", "wrist")
+ARM = """<robot name="arm"><link name="base"/>
+<link name="shoulder"/><joint name="pan" type="revolute"><origin xyz="0 0 0.2"/>
+<parent link="base"/><child link="shoulder"/><axis xyz="0 0 1"/></joint>
+<link name="upper"/><joint name="lift" type="revolute"><origin xyz="0 0.1 0.1"/>
+<parent link="shoulder"/><child link="upper"/><axis xyz="0 1 0"/></joint>
+<link name="fore"/><joint name="elbow" type="revolute"><origin xyz="0 -0.05 0.4"/>
+<parent link="upper"/><child link="fore"/><axis xyz="0 1 0"/></joint>
+<link name="hand"/><joint name="wrist" type="revolute"><origin xyz="0 0 0.35"/>
+<parent link="fore"/><child link="hand"/><axis xyz="0 0 1"/></joint></robot>"""
+LENS = np.array([np.log(600.0), 0.0, 320.0, 240.0, -0.05, 0.0])
+
+
+def motion(seed: int, duration: float = 20.0) -> JointMotion:
+    """Sums of slow sines for four joints, rad."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, duration, 0.01)
+    phases, rates = rng.uniform(0, 6.3, (3, 4)), rng.uniform(0.6, 2.5, (3, 4))
+    q = np.sin(rates * t[:, None, None] + phases).sum(axis=1) * [0.3, 0.2, 0.3, 0.5]
+    middle = np.array([0.0, 0.4, 0.9, 0.0])
+    return joint_motion(t, q + middle)
+
+
+def camera() -> Camera:
+    """A camera 1.6 m before the arm, looking at it."""
+    forward = np.array([-1.0, 0.1, -0.2]) / np.linalg.norm([-1.0, 0.1, -0.2])
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    turn = np.stack([right, np.cross(forward, right), forward])
+    anchor = np.eye(4)
+    anchor[:3, :3], anchor[:3, 3] = turn, -turn @ (-1.6 * forward + [0.0, 0.0, 0.5])
+    return Camera("camera", "base", anchor, LENS, np.concatenate([TF_POSE, FREE_LENS]))
+
+
+def model(motions: list[JointMotion]) -> LandmarkModel:
+    space = Space(urdf.parse(ARM, "arm.urdf"), JOINTS, {}, np.radians(5.0))
+    return build_model(space, camera(), motions, np.radians(5.0))
+
+
+def seen(built: LandmarkModel, phi: Array, seed: int, pieces: int = 120, noise: float = 0.2) -> tuple[Sightings, Array]:
+    """Pieces of 24 frames at 12 Hz of points on the moving links, and the numbers of their bodies (K,)."""
+    rng = np.random.default_rng(seed)
+    body = rng.integers(1, len(built.bodies), pieces)
+    places = np.array([built.bodies[b].centre + 0.35 * built.bodies[b].size * rng.standard_normal(3) for b in body])
+    starts = rng.uniform(1.0, 16.0, pieces)
+    t = (starts[:, None] + np.arange(24) / 12.0).ravel()
+    piece = np.repeat(np.arange(pieces), 24)
+    part = Sightings(piece, np.zeros(len(piece), int), t, np.full((len(t), 2), 240.0), 480.0)
+    for _ in range(3):  # the row time needs the row
+        part = replace(part, uv=built.predict(phi, part, body, places).image)
+    wander = np.zeros((pieces, 24, 2))
+    for n in range(1, 24):  # corners slide slowly
+        wander[:, n] = 0.93 * wander[:, n - 1] + noise * rng.standard_normal((pieces, 2))
+    return replace(part, uv=part.uv + wander.reshape(-1, 2)), body
+
+
+def truth(built: LandmarkModel, delay: float = 0.0, row_time: float = 0.0) -> Array:
+    phi = built.prior[0].copy()
+    phi[built.of_delays], phi[built.of_row_time] = delay, row_time
+    phi[:6] = [0.01, -0.008, 0.012, 0.01, -0.012, 0.008]
+    return phi
+
+
+def test_derivatives_are_those_of_differences():
+    built = model([motion(1)])
+    phi = truth(built, 0.05, 0.03)
+    phi[built.rig.of_joints] = [0.02, -0.03, 0.01, 0.04]
+    part, body = seen(built, phi, 2, pieces=8)
+    places = np.array([built.bodies[b].centre + 0.05 for b in body])
+    exact = built.predict(phi, part, body, places)
+    for k in range(len(phi)):
+        step = 1e-6 * (np.arange(len(phi)) == k)
+        above, below = (built.predict(phi + way * step, part, body, places).image for way in (1, -1))
+        np.testing.assert_allclose(exact.by_shared[:, :, k], (above - below) / 2e-6, rtol=2e-4, atol=2e-3)
+    for k in range(3):
+        step = 1e-6 * (np.arange(3) == k)
+        above, below = (built.predict(phi, part, body, places + way * step).image for way in (1, -1))
+        np.testing.assert_allclose(exact.by_place[:, :, k], (above - below) / 2e-6, rtol=2e-4, atol=2e-3)
+
+
+def test_elimination_equals_the_whole_system():
+    built = model([motion(1)])
+    phi = truth(built)
+    part, body = seen(built, phi, 3, pieces=6)
+    places = np.array([built.bodies[b].centre for b in body])
+    few = Landmarks(body, places)
+    reduced = reduce_normal(built, phi, part, few)
+    predicted = built.predict(phi, part, body, places)
+    shared, weight = len(phi), np.repeat(reduced.weight, 2)
+    whole = np.zeros((2 * len(part.piece), shared + 3 * part.count))
+    whole[:, :shared] = whiten(predicted.by_shared, part, 0.8).reshape(-1, shared)
+    own = whiten(predicted.by_place, part, 0.8).reshape(-1, 3)
+    for row, number in enumerate(np.repeat(part.piece, 2)):
+        whole[row, shared + 3 * number : shared + 3 * number + 3] = own[row]
+    sizes = np.array([built.bodies[b].size for b in body])
+    prior = np.concatenate([built.prior[1] ** -2.0, np.repeat(sizes, 3) ** -2.0])
+    matrix = whole.T @ (weight[:, None] * whole) + np.diag(prior)
+    schur = np.linalg.inv(np.linalg.inv(matrix)[:shared, :shared])
+    np.testing.assert_allclose(reduced.matrix, schur, rtol=1e-5, atol=1e-5 * np.abs(schur).max())
+
+
+def test_each_piece_is_found_on_its_link():
+    built = model([motion(4)])
+    phi = truth(built)
+    part, body = seen(built, phi, 5)
+    chosen = assign(built, phi, part)
+    assert (chosen.body == body).mean() > 0.9
+    assert np.median(chosen.error) < 0.6
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_camera_and_delay_are_found_within_their_errors(seed):
+    built = model([motion(10 + seed)])
+    phi = truth(built, delay=0.06)
+    part, _ = seen(built, phi, 20 + seed)
+    start, _ = search_delay(built, built.prior[0].copy(), part.thinned(4))
+    found = staged_fit(built, start, part.thinned(2))
+    assert found is not None
+    std = np.sqrt(np.diag(unknowns_covariance(found)))
+    delay = built.of_delays.start
+    assert found.phi[delay] == pytest.approx(0.06, abs=0.003)
+    assert (np.abs(found.phi - phi) < 3.5 * std)[:7].all()
+    assert len(found.used) > 0.8 * part.count
+
+
+def test_joints_of_another_time_explain_little():
+    built = model([motion(30)])
+    part, _ = seen(built, truth(built), 31)
+    other = LandmarkModel(built.rig, built.bodies, (motion(99),))
+    found = staged_fit(other, built.prior[0].copy(), part.thinned(2))
+    assert found is None or len(found.used) < 0.3 * part.count
+
+
+def test_adjustment_lessens_the_cost():
+    built = model([motion(40)])
+    phi = truth(built)
+    part, body = seen(built, phi, 41, pieces=40)
+    places = assign(built, phi, part).places
+    start = Landmarks(body, places)
+    free = np.arange(len(phi)) < 7
+    moved, after, reduced = adjust(built, built.prior[0].copy(), part, start, free)
+    assert reduced.cost < reduce_normal(built, built.prior[0], part, start).cost
+    assert LandmarkFit(built, moved, free, part, np.arange(40), after, reduced).error_px < 1.0
+
+
+def test_logs_are_joined_with_a_delay_of_their_own():
+    built = model([motion(50), motion(51)])
+    parts = [seen(model([m]), truth(model([m])), 52 + k, pieces=10)[0] for k, m in enumerate(built.motions)]
+    both = sightings([(part.piece, part.t, part.uv) for part in parts], 480.0)
+    assert both.count == 20
+    assert (np.bincount(both.log) == [240, 240]).all()
+    assert built.of_delays.stop - built.of_delays.start == 2
