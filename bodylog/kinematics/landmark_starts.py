@@ -9,9 +9,9 @@ from ..types import Array
 from .joint_names import words
 from .landmark_fit import search_delay
 from .landmarks import LandmarkModel, Sightings
-from .links import ANYWHERE, FRAME_POSE, CameraHint, hinted_camera, is_optical
+from .links import ANYWHERE, FRAME_POSE, CameraHint, hinted_camera
 from .rig import Camera
-from .robot import Robot
+from .robot import Robot, is_optical
 from .rotations import inverse, transform
 
 _FORWARD_X = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
