@@ -35,7 +35,7 @@ def measure_flow_delays(read: Recording) -> Iterator[CameraFlow]:
     from .estimation.timing.flow_delay import estimate_flow_delay
     from .perception.surface.flow import measure_grid_flow
 
-    if read.joints is None or read.poses:
+    if read.joints is None or read.poses or len(read.joints.t) < LEAST_READINGS:
         return
     for name, film in {"": read.frames, **read.views}.items():
         if film is None:

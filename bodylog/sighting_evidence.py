@@ -232,7 +232,8 @@ def fit_unknowns(log: SightingLog, unknowns: Sequence[Columns]) -> Fitted:
 
 def _deviations(off: Array, cov: Array) -> Array:
     """Root mean square (N,) of residuals (N,2) in standard deviations."""
-    return np.asarray(np.sqrt(0.5 * np.einsum("nd,nd->n", off, np.linalg.solve(cov, off[..., None])[..., 0])))
+    # a damaged body may claim no doubt at all about a direction: the pseudoinverse leaves that direction out
+    return np.asarray(np.sqrt(0.5 * np.einsum("nd,nde,ne->n", off, np.linalg.pinv(cov, hermitian=True), off)))
 
 
 def _block_diagonal(blocks: Sequence[Array]) -> Array:

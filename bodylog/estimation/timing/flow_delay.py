@@ -100,12 +100,14 @@ def estimate_flow_delay(
 
 def _split_into_parts(times: Array, flow: Array, joints: Series) -> list[_Part]:
     """Stretches of intervals for which the joints are known at every searched delay."""
+    if not len(joints.t):
+        return []
     inside = (times[:, 0] - LATEST_S > joints.t[0]) & (times[:, 1] - EARLIEST_S < joints.t[-1])
     times = times[inside]
-    components = _principal_components(flow.reshape(len(flow), -1)[inside])
     count = len(times)
     if count < LEAST_INTERVALS:
         return []
+    components = _principal_components(flow.reshape(len(flow), -1)[inside])
     number = -(-count // MOST_INTERVALS)
     size = count // number
     chosen = np.unique(np.linspace(0, number - 1, min(number, MOST_PARTS)).round().astype(int))
