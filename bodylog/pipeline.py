@@ -248,11 +248,7 @@ def doctor(log: Path, repair: Path | None = None, settings: Settings | None = No
     distinct([log, *(() if body is None else [body])], [] if repair is None else [Output(repair, "--repair")])
     known = None if body is None else storage.load(body)
     findings = logs_doctor.examine(log, limits.strict, limits, progress)
-    late = delay_findings.Examined()
-    if settings is not None and known is None and settings.kinematics.urdf is not None:
-        late = surface_findings.examine(log, settings)
-    elif settings is not None:
-        late = delay_findings.examine(log, known, settings)
+    late = delay_findings.Examined() if settings is None else surface_findings.examine_delays(log, known, settings)
     if repair is not None:
         logs_doctor.repair(log, repair, limits)
     return Result(repair, Scores(late.scores), findings=(*findings, *late.findings))

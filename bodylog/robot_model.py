@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from .body_model import BodyModel
 from .errors import FormatError, LogError, ModelError
 from .settings import Settings
-from .types import Array, Features, Finding, Recording
+from .types import Array, Features, Finding
 from .wording import listed
 
 if TYPE_CHECKING:
@@ -220,12 +220,8 @@ def _hints(
     hints = {}
     for name in sorted(names):
         size = next((found.picture_size for found in features if found.picture_size and not name), None)
-        infos = [info for one in descriptions if (info := _info(topics.get(name), one.cameras)) is not None]
-        hint = CameraHint(size=size, extent=_extent(name, features))
-        for one, info in zip(descriptions, infos, strict=False):
-            link, pose = _placed(info.frame, robot, one.transforms)
-            hint = CameraHint(link, pose, _lens(info), (info.width, info.height))
-            break
+        told = [hint for one in descriptions if (hint := told_camera(topics.get(name), one, robot)) is not None]
+        hint = told[0] if told else CameraHint(size=size, extent=_extent(name, features))
         hints[name] = hint if name else with_known(hint, settings.camera, robot)
     return hints
 
@@ -244,21 +240,15 @@ def named_robot(log: Path, settings: Settings) -> "Robot":
     return _from_log(log, text, settings)
 
 
-def camera_hints(log: Path, robot: "Robot", read: Recording, settings: Settings) -> "dict[str, CameraHint]":
-    """What a log says of its cameras' links, poses and lenses, by name, "" the first, of which [camera] tells too."""
+def told_camera(topic: str | None, description: "Described", robot: "Robot") -> "CameraHint | None":
+    """What a log's description tells of the camera of an image topic; None without its CameraInfo."""
     from .kinematics.links import CameraHint
-    from .known_camera import with_known
-    from .recording.robot_description import described
 
-    description = described(log, settings.input)
-    topics = {role.partition("/")[2]: path for role, path in read.roles.items() if role.partition("/")[0] == "camera"}
-    hints = {}
-    for name, topic in topics.items():
-        info = _info(topic, description.cameras)
-        if info is not None:
-            link, pose = _placed(info.frame, robot, description.transforms)
-            hints[name] = CameraHint(link, pose, _lens(info), (info.width, info.height))
-    return {**hints, "": with_known(hints.get("", CameraHint()), settings.camera, robot)}
+    info = _info(topic, description.cameras)
+    if info is None:
+        return None
+    link, pose = _placed(info.frame, robot, description.transforms)
+    return CameraHint(link, pose, _lens(info), (info.width, info.height))
 
 
 def _info(topic: str | None, cameras: "Mapping[str, CameraInfo]") -> "CameraInfo | None":

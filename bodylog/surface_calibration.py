@@ -53,7 +53,7 @@ class SurfaceCalibration:
 
 def calibrate_cameras(log: Path, read: Recording, settings: "Settings") -> Iterator[SurfaceCalibration | EvidenceError]:
     """Yield each camera's calibration, or why there is none. ModelError where no joint of the URDF is in the log."""
-    from .robot_model import camera_hints, named_robot
+    from .robot_model import named_robot
 
     robot = named_robot(log, settings)
     joint_of, motion, still = moving_joints(log, read, robot)
@@ -72,6 +72,20 @@ def calibrate_cameras(log: Path, read: Recording, settings: "Settings") -> Itera
 
         names = tuple(joint for joint in robot.by_name if joint in still)
         yield SurfaceCalibration(name, fit, unknowns_covariance(fit), moving, joint_of, names)
+
+
+def camera_hints(log: Path, robot: "Robot", read: Recording, settings: "Settings") -> "dict[str, CameraHint]":
+    """What a log says of its cameras' links, poses and lenses, by name, "" the first, of which [camera] tells too."""
+    from .kinematics.links import CameraHint
+    from .known_camera import with_known
+    from .recording.robot_description import described
+    from .robot_model import told_camera
+
+    description = described(log, settings.input)
+    topics = {role.partition("/")[2]: path for role, path in read.roles.items() if role.partition("/")[0] == "camera"}
+    told = {name: told_camera(topic, description, robot) for name, topic in topics.items()}
+    hints = {name: hint for name, hint in told.items() if hint is not None}
+    return {**hints, "": with_known(hints.get("", CameraHint()), settings.camera, robot)}
 
 
 def moving_joints(

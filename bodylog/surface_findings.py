@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+from . import delay_findings
+from .body_model import BodyModel
 from .delay_findings import Examined, middle
 from .errors import EvidenceError
 from .settings import Settings
@@ -12,6 +14,13 @@ from .types import Finding, Score
 SIGNIFICANT_SIGMA = 3.0
 LATE_S = 0.003
 """A delay below this matters to nobody."""
+
+
+def examine_delays(log: Path, body: BodyModel | None, settings: Settings) -> Examined:
+    """Examine a log by the surface where a URDF is named and no body is; else by a body, or one learned from the log."""
+    if body is None and settings.kinematics.urdf is not None:
+        return examine(log, settings)
+    return delay_findings.examine(log, body, settings)
 
 
 def examine(log: Path, settings: Settings) -> Examined:
