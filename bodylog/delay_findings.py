@@ -52,7 +52,7 @@ def examine(log: Path, body: BodyModel | None, settings: Settings) -> Examined:
     if body is not None or by_marker.scores:
         return by_marker
     by_flow = _examined_by_flow(log, settings)
-    return by_flow if by_flow.scores else Examined((), by_marker.findings + by_flow.findings)
+    return by_flow if by_flow.scores else Examined((), by_marker.findings or by_flow.findings)
 
 
 def _examined_by_flow(log: Path, settings: Settings) -> Examined:
