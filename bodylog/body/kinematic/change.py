@@ -68,8 +68,7 @@ def changes(features: Features, body: BodyModel) -> tuple[Change, ...]:
 
     Empty where no track has kinematics, a joint lacks readings, or too little is seen.
     """
-    problem = pose_problem(features, body)
-    if problem is None:
+    if (problem := pose_problem(features, body)) is None:
         return ()
     problem = cleaned(problem)
     if sum(len(kept) for kept in problem.kept) < FEWEST:
