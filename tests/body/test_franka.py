@@ -1,6 +1,7 @@
 """A Franka's camera in hand: learned from half of a session, from joints or from poses of its flange."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,9 +20,11 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the Franka's images (
 
 
 def rows_of(name, rows, folder):
-    """Some rows of a table, with the images where they are."""
+    """Some rows of a table, with their images beside it."""
     head, *lines = (DATA / "A" / name).read_text().splitlines()
-    chosen = [f"{DATA / 'A'}/{line}" for line in np.array(lines)[rows]]
+    chosen = [str(line) for line in np.array(lines)[rows]]
+    for picture in {line.partition(",")[0] for line in chosen}:
+        shutil.copy(DATA / "A" / picture, folder / picture)
     path = folder / f"{len(chosen)}_{name}"
     path.write_text("\n".join([head, *chosen]) + "\n")
     return path
