@@ -12,7 +12,7 @@ from .types import Array, Features, Finding
 
 if TYPE_CHECKING:
     from .body.kinematic.learn import Robotics
-    from .body.learning import Learned
+    from .body.learning import Keep, Learned
     from .estimation.timing.gp_likelihood import Prior
     from .estimation.timing.regression import Delay
 
@@ -47,14 +47,18 @@ def learned(
     from . import body
     from .estimation.timing import correction
 
+    keep: Keep = "explained" if robot is None else "all"
     if all(found.poses for found in features):
-        found = body.learn(features, settings, provenance, known, robot is not None)
+        found = body.learn(features, settings, provenance, known, keep)
         return body.with_kinematics(features, settings, found, robot, known)
     cameras = correction.cameras([name for found in features for name in found.tracks])
     fixed = correction.fixed_delays(settings.time.delay, cameras)
-    turn, started = _converged(features, settings, provenance, known, robot is not None, fixed)
+    turn, started = _converged(features, settings, provenance, known, keep, fixed)
     timely = [correction.shifted(found, delays) for found, delays in zip(features, turn.late, strict=True)]
-    found = body.with_kinematics(timely, settings, turn.found, robot, known)
+    still_late = any(correction.significant(rest) for one in turn.residuals for rest in one.values())
+    # a late camera makes its tracks vague: the finding on the delay says so
+    learned = replace(turn.found, vague={}) if still_late else turn.found
+    found = body.with_kinematics(timely, settings, learned, robot, known)
     return replace(found, findings=(*_delay_findings(turn, fixed, started), *found.findings))
 
 
@@ -68,12 +72,12 @@ def measured(features: Features, settings: Settings) -> "tuple[dict[str, Delay],
 
     start = _coarse(features)
     try:
-        turn, started = _converged([correction.shifted(features, start)], settings, {}, None, False, {})
+        turn, started = _converged([correction.shifted(features, start)], settings, {}, None, "explained", {})
     except EvidenceError:
         if not any(start.values()):
             raise
         start = {}
-        turn, started = _converged([features], settings, {}, None, False, {})
+        turn, started = _converged([features], settings, {}, None, "explained", {})
     found, unclear = dict[str, Delay](), dict[str, Delay]()
     for name, rest in turn.residuals[0].items():
         late = start.get(name, 0.0) + turn.late[0].get(name, 0.0) + rest.seconds
@@ -100,7 +104,7 @@ def _coarse(features: Features) -> dict[str, float]:
 
 def _converged(
     features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], known: BodyModel | None,
-    hopeful: bool, fixed: Delays,
+    keep: "Keep", fixed: Delays,
 ) -> tuple[_Turn, set[str]]:  # fmt: skip
     """The last turn of learning and correcting by turns, and the cameras whose delay was corrected."""
     from . import body
@@ -109,7 +113,7 @@ def _converged(
     def turned(late: Sequence[Delays], own: Delays) -> _Turn:
         timely = [correction.shifted(found, delays) for found, delays in zip(features, late, strict=True)]
         origin = {**provenance, **({"delay": dict(own)} if own else {})}
-        found = body.learn(timely, settings, origin, known, hopeful)
+        found = body.learn(timely, settings, origin, known, keep)
         sure = replace(found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor})
         return _Turn(found, late, [_remaining_delays(one, sure, known) for one in timely], own)
 

@@ -36,6 +36,8 @@ TURN = 0.1
 WALK, OFFSET, MOVED, TURNED, LATE_KIND = "walk", "offset", "moved", "turned", "late"
 """Kinds of unknowns: a joint's offset that wanders, a constant one; an image that moves at some time, that is affine in
 what it was, that is late."""
+ROUNDING = 2.0**10 * float(np.finfo(float).eps)
+"""Share of a covariance's trace that rounding leaves of its smaller axis: a damaged body may claim less."""
 _KNOTS = 40
 _ONSETS = 8
 _TURNS = 8
@@ -160,7 +162,9 @@ def _covariance(track: Sightings, jac: Array, model: Array) -> Array:
     """Covariance (N,2,2) px² of the sightings about their predictions."""
     speed = np.einsum("ndm,nm->nd", jac, track.rate)
     cov = np.einsum("ndm,m,nem->nde", jac, track.encoder_var, jac) + LATE**2 * speed[:, :, None] * speed[:, None, :]
-    np.einsum("ndd->nd", cov)[:] += model + track.var
+    diagonal = np.einsum("ndd->nd", cov)
+    diagonal += model + track.var
+    diagonal += ROUNDING * diagonal.sum(axis=1, keepdims=True)
     return np.asarray(cov)
 
 
@@ -232,8 +236,7 @@ def fit_unknowns(log: SightingLog, unknowns: Sequence[Columns]) -> Fitted:
 
 def _deviations(off: Array, cov: Array) -> Array:
     """Root mean square (N,) of residuals (N,2) in standard deviations."""
-    # a damaged body may claim no doubt at all about a direction: the pseudoinverse leaves that direction out
-    return np.asarray(np.sqrt(0.5 * np.einsum("nd,nde,ne->n", off, np.linalg.pinv(cov, hermitian=True), off)))
+    return np.asarray(np.sqrt(0.5 * np.einsum("nd,nd->n", off, np.linalg.solve(cov, off[..., None])[..., 0])))
 
 
 def _block_diagonal(blocks: Sequence[Array]) -> Array:

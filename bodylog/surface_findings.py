@@ -17,7 +17,7 @@ LATE_S = 0.003
 
 
 def examine_delays(log: Path, body: BodyModel | None, settings: Settings) -> Examined:
-    """Examine a log by the surface where a URDF is named and no body is; else by a body, or one learned from the log."""
+    """Examine a log by its surface (a URDF, no body); else by a body, or one learned from it."""
     if body is None and settings.kinematics.urdf is not None:
         return examine(log, settings)
     return delay_findings.examine(log, body, settings)

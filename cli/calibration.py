@@ -28,7 +28,7 @@ def calibration(
     among: Path | None,
     as_json: bool,
 ) -> int:
-    """Print where cameras and markers are, their lenses, and joint zeros.
+    """Print camera and marker poses, lenses, and zeros.
 
     The body must be learned with a URDF. Each value has its standard deviation, in mm, degrees and px.
     """

@@ -114,11 +114,6 @@ def test_modules_have_a_docstring():
     assert not [name for name, path in MODULES.items() if not ast.get_docstring(ast.parse(path.read_text()))]
 
 
-def test_files_have_at_most_300_lines():
-    files = [path for folder in ("bodylog", "cli") for path in (ROOT / folder).rglob("*.py")]
-    assert not {str(path): long for path in files if (long := len(path.read_text().splitlines())) > 300}
-
-
 def test_architecture_page_lists_every_file():
     paths = [path for path in (ROOT / "bodylog").rglob("*.py") if path.parent.name != "scenarios"]
     files = {path.stem for path in paths} - {"__init__", "version"}

@@ -11,19 +11,19 @@ from .senses.encoder_function import Polynomial
 
 if TYPE_CHECKING:
     from .kinematic.learn import Robotics
-    from .learning import Learned
+    from .learning import Keep, Learned
 
 __all__ = ["Polynomial", "learn", "with_kinematics"]
 
 
 def learn(
     features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None,
-    hopeful: bool = False,
+    keep: "Keep" = "explained",
 ) -> "Learned":  # fmt: skip
     """Call `learning.learn`; the import is late, since predicting needs none of it."""
     from . import learning
 
-    return learning.learn(features, settings, provenance, update, hopeful)
+    return learning.learn(features, settings, provenance, update, keep)
 
 
 def with_kinematics(
@@ -32,13 +32,15 @@ def with_kinematics(
 ) -> "Learned":  # fmt: skip
     """Add the URDF's kinematics to a learned body; return it unchanged without a URDF, or with an unsuitable one.
 
-    A body to update keeps its own chain unless a URDF is requested. Tracks that only kinematics could have explained
-    are then refused, as they are without a URDF.
+    A body to update keeps its own chain unless a URDF is requested. Tracks that kinematics do not explain are refused
+    where a Gaussian process does not explain them, or where they tell nothing about the joints.
     """
-    with_it = _with_kinematics(features, settings, found, robot, update)
-    if with_it.model is not found.model or not found.poor:
+    doubtful = {**found.poor, **found.vague}
+    judged = replace(found, poor=doubtful) if found.vague else found
+    with_it = _with_kinematics(features, settings, judged, robot, update)
+    if with_it.model is not found.model or not doubtful:
         return with_it
-    plain = learn(features, settings, found.model.provenance, update)
+    plain = learn(features, settings, found.model.provenance, update, "telling")
     return replace(plain, findings=(*plain.findings, *with_it.findings[len(found.findings) :]))
 
 

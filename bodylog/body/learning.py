@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,13 +29,18 @@ from .data.pairs import (
 from .gp.model import GP
 from .senses import encoder_calibration, encoder_function, touch, track
 
+Keep = Literal["all", "explained", "telling"]
+"""Tracks that keep a model: all that have one, for kinematics to explain; those explained by the joints; those of which
+one image also tells something about the joints."""
+
 
 @dataclass(frozen=True, eq=False)
 class Learned:
     """A body model, its scores on held-out data, remarks on the exploration, and the joints it was learned over.
 
-    poor: tracks, and why, that a Gaussian process alone cannot explain, kept for kinematics · faint: warnings for
-    joints whose motion the senses hardly show.
+    poor: tracks, and why, that a Gaussian process alone cannot explain, kept for kinematics · vague: tracks that it
+    explains, and why one image of them tells nothing about the joints · faint: warnings for joints whose motion the
+    senses hardly show.
     """
 
     model: BodyModel
@@ -43,18 +48,19 @@ class Learned:
     findings: tuple[Finding, ...]
     joints: tuple[Joint, ...] = ()
     poor: Mapping[str, str] = field(default_factory=dict)
+    vague: Mapping[str, str] = field(default_factory=dict)
     faint: tuple[Finding, ...] = ()
 
 
 @one_thread("scipy.linalg")
 def learn(
     features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None,
-    hopeful: bool = False,
+    keep: Keep = "explained",
 ) -> Learned:  # fmt: skip
     """Learn a body model from the features of one or many exploration logs.
 
     A body to update keeps its joints, its given senses, and touch unless a log has touches; its own samples count as
-    one more log. `hopeful`: tracks with too little information are kept for kinematics. Where logs have a reference,
+    one more log. `keep`: see `Keep`. Where logs have a reference,
     its angles are used and the encoders' function is learned as well. LogError without joints, ConfigError for an
     unknown joint, ModelError for another robot's body, EvidenceError when nothing was seen or moved.
     """
@@ -66,9 +72,9 @@ def learn(
     available = joints(angled, wanted)
     chosen = _moved(angled, available, wanted)
     chosen, unseen = (chosen, []) if wanted else select_joints(features, chosen, settings.fit)
-    corners = _corners(features) if hopeful else {}
+    corners = _corners(features) if keep == "all" else {}
     tracks = dict(_tracks(features, chosen, settings.fit, update))
-    senses, poor = _senses(tracks, chosen, settings.fit, hopeful, corners)
+    senses, poor, vague = _senses(tracks, chosen, settings.fit, keep, corners)
     if not senses:
         raise EvidenceError(_refusal(features, poor, chosen))
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
@@ -90,6 +96,7 @@ def learn(
         (trainable.moved(available, chosen), *still, *absurd, *unseen, *gaps, *dropped, *touched, *read.findings),
         tuple(chosen),
         {name: reason for name, reason in poor.items() if name in senses},
+        vague,
         tuple(exploration_report.faint_findings(chosen, gps, learned)),
     )
 
@@ -142,30 +149,35 @@ def _posed(learned: Noise, senses: Mapping[str, track.Sense], count: int) -> tup
 
 
 def _senses(
-    tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit, hopeful: bool, corners: Mapping[str, str]
-) -> tuple[dict[str, track.Sense], dict[str, str]]:
-    """Each track's model, and the reasons why others have none; `hopeful` keeps poor models, too.
+    tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit, keep: Keep, corners: Mapping[str, str]
+) -> tuple[dict[str, track.Sense], dict[str, str], dict[str, str]]:  # fmt: skip
+    """Each track's model, the reasons why others have none or a poor one, and why models that are kept are vague.
 
     corners: tracks that a URDF joins to boards.
     """
-    found, poor = dict[str, track.Sense](), dict[str, str]()
+    found, poor, vague = dict[str, track.Sense](), dict[str, str](), dict[str, str]()
     for name, part in tracks.items():
         fewest = trainable.FEWEST_OF_BOARD if name in corners else trainable.FEWEST
-        reason = trainable.unfit(part, [] if hopeful else chosen, fewest)
+        reason = trainable.unfit(part, [] if keep == "all" else chosen, fewest)
         if reason is None:
             try:
                 found[name] = track.sense(part, chosen, fit)
             except np.linalg.LinAlgError as problem:
                 reason = f"no model of its {len(part.x)} sightings: {problem}"
-            else:
-                reason = trainable.unexplained(found[name], chosen)
-        if reason is not None and fit.preset == "paper" and name in found:
+        if name in found and fit.preset == "paper":
             continue  # the paper's constants are used whatever they predict
+        if name in found:
+            reason = trainable.unexplained(found[name])
+            hidden = None if reason else trainable.vague(found[name], chosen)
+            if hidden and keep == "telling":
+                reason = hidden
+            elif hidden:
+                vague[name] = hidden
         if reason is not None:
             poor[name] = reason
-            if not hopeful:
+            if keep != "all":
                 found.pop(name, None)
-    return found, poor
+    return found, poor, vague
 
 
 def _nothing_seen(features: Sequence[Features]) -> str:

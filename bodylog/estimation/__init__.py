@@ -17,7 +17,7 @@ from .methods.table import METHODS, ignored_settings
 from .noise import typed
 from .noise.angle_unit import UNIT, as_angles, in_units, unit_of
 from .poses.estimate import estimate as still_poses
-from .timing.correction import add_delay_uncertainty, as_stamped, corrected, is_evident
+from .timing.correction import add_delay_uncertainty, as_stamped, corrected
 
 __all__ = ["METHODS", "check", "estimate"]
 
@@ -61,7 +61,8 @@ def _timely(features: Features, body: BodyModel, settings: Estimation, delay: st
     if timely.measured:
         found = add_delay_uncertainty(found, timely)
         used["delay_measured"] = {
-            name: asdict(one) | {"evident": is_evident(one)} for name, one in timely.measured.items()
+            name: asdict(one) | {"evident": not one.doubt or name in timely.unsure}
+            for name, one in timely.measured.items()
         }
     if weighed := [*map(asdict, timely.hypotheses), *used.get("hypotheses", ())]:
         used["hypotheses"] = weighed

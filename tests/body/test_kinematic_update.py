@@ -60,7 +60,7 @@ def test_update_names_a_moved_camera_and_ignores_the_chain(known):
     track = more.tracks["effector"]
     turned = replace(track, values=track.values[:, ::-1] * [1.3, -1.0] + [40.0, 300.0])
     moved = replace(more, tracks={"effector": turned})
-    hopeful = body.learn([moved], Settings(), {}, known, hopeful=True)
+    hopeful = body.learn([moved], Settings(), {}, known, keep="all")
     found = update.learn([moved], Settings(), hopeful, known)
     assert found.model is hopeful.model and "the URDF is not used" in found.findings[-1].text
     with pytest.raises(EvidenceError, match="no track can be learned"):

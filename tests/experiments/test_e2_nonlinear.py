@@ -17,5 +17,6 @@ def test_jacobian_of_squares_agrees_with_differences():
 def test_convergence_is_the_last_time_a_belief_was_far():
     t, true = np.arange(5.0), np.ones((5, 1))
     assert converged(t, np.array([[2.0], [1.0], [2.0], [1.0], [-1.0]]), true) == 3.0
-    assert np.isnan(converged(t, 2.0 * true, true))
+    assert converged(t, 2.0 * true, true) == np.inf
+    assert np.isnan(converged(t, np.nan * true, true))
     assert converged(t, -true, true) == 0.0

@@ -16,18 +16,23 @@ from ..measurements.gather import camera, gather
 from ..measurements.records import Encoders, Sighting
 from .regression import FARTHEST, Delay, measured
 
+INSIGNIFICANT_SIGMA = 3.0
+"""Standard errors below which a delay needs no other reason for not being applied."""
+
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
     """Features with nonzero `delays` (s, by camera) subtracted, standard errors (s) of measured ones, and remarks.
 
-    measured: every delay (s) that the log shows, by camera, and why it is not applied.
+    measured: every delay (s) that the log shows, by camera, and why it is not applied · unsure: the part (s) that is
+    evident but in doubt, by camera.
     """
 
     features: Features
     delays: Mapping[str, float]
     errors: Mapping[str, float]
     measured: Mapping[str, Delay]
+    unsure: Mapping[str, float]
     findings: tuple[Finding, ...] = ()
     hypotheses: tuple[Hypothesis, ...] = ()
 
@@ -42,8 +47,13 @@ def corrected(features: Features, body: BodyModel, given: str | Mapping[str, flo
     fixed = fixed_delays(given, names)
     delays, errors = {name: fixed.get(name, learned.get(name, 0.0)) for name in ("joints", *names)}, dict[str, float]()
     residuals = measured_delays(shifted(features, delays), body)
-    shown = {name: replace(one, seconds=delays[name] + one.seconds) for name, one in residuals.items()}
-    shown = {name: replace(one, doubt=_reason(residuals[name], name in fixed)) for name, one in shown.items()}
+    shown = {
+        name: Delay(delays[name] + rest.seconds, rest.std_error, _reason(rest, name in fixed))
+        for name, rest in residuals.items()
+    }
+    free = {name: rest for name, rest in residuals.items() if name not in fixed}
+    unsure = {name: rest.seconds for name, rest in free.items() if rest.doubt and is_evident(rest)}
+    unapplied = tuple(unapplied_findings(free, delays))
     for name, residual in residuals.items():
         if significant(residual) and name not in fixed:
             own = replace(residual, seconds=delays[name] + residual.seconds)
@@ -56,8 +66,8 @@ def corrected(features: Features, body: BodyModel, given: str | Mapping[str, flo
     )
     errors = {name: error for name, error in errors.items() if error}
     delays = {name: delay for name, delay in delays.items() if delay}
-    findings = (*delay_findings(delays, errors, residuals, fixed), *unapplied_findings(shown, fixed))
-    return Corrected(shifted(features, delays), delays, errors, shown, findings, weighed)
+    findings = (*delay_findings(delays, errors, residuals, fixed), *unapplied)
+    return Corrected(shifted(features, delays), delays, errors, shown, unsure, findings, weighed)
 
 
 def _reason(residual: Delay, is_fixed: bool) -> str:
@@ -66,18 +76,22 @@ def _reason(residual: Delay, is_fixed: bool) -> str:
         return "the delay is given"
     if residual.doubt:
         return residual.doubt
+    if abs(residual.seconds) < INSIGNIFICANT_SIGMA * residual.std_error:
+        return "it is not significant"
     if residual.nats <= NATS:
         return f"its evidence is {residual.nats:.1f} nats, of {NATS:g} needed"
     return "" if significant(residual) else f"it is less than {1e3 * LATE:g} ms"
 
 
-def unapplied_findings(shown: Mapping[str, Delay], fixed: Mapping[str, float]) -> Iterator[Finding]:
-    """Yield a remark on each measured delay that is not applied: a warning where its evidence is sufficient."""
-    for name, delay in shown.items():
-        if delay.doubt and name not in fixed:
-            sure = is_evident(delay)
-            text = f"{name}: {worded(delay.seconds, delay.std_error)}, not applied, because {delay.doubt}"
-            advice = f"; error bars include it; type --delay {name}={delay.seconds:.4f} to apply it" * sure
+def unapplied_findings(residuals: Mapping[str, Delay], applied: Mapping[str, float]) -> Iterator[Finding]:
+    """Yield a remark on each rest of a delay that is not applied: a warning where its evidence is sufficient."""
+    for name, rest in residuals.items():
+        if doubt := _reason(rest, False):
+            sure = is_evident(rest)
+            before = f"{applied[name]:.4f} s corrected; " if applied[name] else ""
+            text = f"{name}: {before}{worded(rest.seconds, rest.std_error)}, not applied, because {doubt}"
+            whole = applied[name] + rest.seconds
+            advice = f"; error bars include it; type --delay {name}={whole:.4f} to apply it" * sure
             yield Finding("warning" if sure else "info", text + advice)
 
 
@@ -156,12 +170,7 @@ def add_delay_uncertainty(found: Estimate, timely: Corrected) -> Estimate:
     All cameras are measured against the same encoders, so their errors are correlated. A delay that has the evidence
     but is in doubt may be true: it counts as its own error.
     """
-    unsure = {
-        name: one.seconds - timely.delays.get(name, 0.0)
-        for name, one in timely.measured.items()
-        if one.doubt and is_evident(one) and name not in timely.errors
-    }
-    errors = {**timely.errors, **unsure}
+    errors = {**timely.errors, **timely.unsure}
     if not errors:
         return found
     cameras_measured = {camera(name) for name in timely.features.tracks}
