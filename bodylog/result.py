@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from . import verdict
+from . import headline, verdict
 from .scoring import bounded
 from .types import Estimate, Fault, Finding, Health, Score
 
@@ -51,7 +51,7 @@ class Result:
     """The result of a command: file written, scores, health per topic, findings, faults, verdict in sentences.
 
     `scores["rmse/joint"]` finds one by its name. `figures` are all that a bound may name: scores, faults, delays,
-    shares used.
+    shares used. `headline` names an estimate's main figures, each with its text, as a report's cards show them.
     """
 
     output: Path | None
@@ -62,11 +62,21 @@ class Result:
     faults: tuple[Fault, ...] = ()
     figures: Scores = NO_SCORES
     verdict: tuple[str, ...] = ()
+    headline: Mapping[str, str] = field(default_factory=dict)
 
 
 def estimate_result(
     out: Path, found: Estimate, scores: tuple[Score, ...], health: Mapping[str, Health], findings: Sequence[Finding]
 ) -> Result:
     """An estimate's result with all figures that bounds may name, and its verdict."""
-    text, figures = verdict.of_estimate(found, scores), Scores(bounded(found, scores))
-    return Result(out, Scores(scores), health, tuple(findings), dict(found.settings), found.faults, figures, text)
+    return Result(
+        out,
+        Scores(scores),
+        health,
+        tuple(findings),
+        dict(found.settings),
+        found.faults,
+        figures=Scores(bounded(found, scores)),
+        verdict=verdict.of_estimate(found, scores),
+        headline=headline.of_estimate(found, scores),
+    )

@@ -158,11 +158,18 @@ def _error(found: Estimate, scores: Sequence[Score]) -> Iterator[str]:
         raw = f", raw encoders {_angle(values['rmse/encoders'])}" if "rmse/encoders" in values else ""
         covered = f"; 2σ covers {values['coverage_2sigma/joint']:.1f} % of the truth"
         yield f"error (RMSE) {_angle(values['rmse/joint'])}{raw}{covered}"
-    elif len(found.cov):
-        typical = 2.0 * float(np.sqrt(np.median(np.einsum("nii->ni", found.cov))))
-        yield f"no truth to compare with; typical 2σ error bar ± {quantity(typical, None, _unit(found))}"
+    elif bar := typical_error_bar(found):
+        yield f"no truth to compare with; typical 2σ error bar {bar}"
     if "rmse/effector_position" in values:
         yield f"effector position error (RMSE) {1e3 * values['rmse/effector_position']:.3g} mm"
+
+
+def typical_error_bar(found: Estimate) -> str:
+    """Two standard deviations of a joint at the median time and joint, "" without any belief."""
+    if not len(found.cov):
+        return ""
+    typical = 2.0 * float(np.sqrt(np.median(np.einsum("nii->ni", found.cov))))
+    return f"± {quantity(typical, None, _unit(found))}"
 
 
 def _angle(value: float) -> str:

@@ -90,7 +90,8 @@ def report(
     done(1)
     findings = (*read.findings, *fault_warnings(found.faults))
     result = estimate_result(out, found, score_estimate(found, read), found.used, findings)
-    page.write(out, found, features, read, result.scores, shown, read_back.read_metadata(log), result.verdict)
+    metadata = read_back.read_metadata(log)
+    page.write(out, found, features, read, result.scores, shown, metadata, result.verdict, result.headline)
     done(1)
     if figures is not None:
         _figures(figures, read, features, found, shown)

@@ -46,7 +46,7 @@ LAYERS = (
     {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "calibration",
      "joints_only", "learned_tests", "misfit", "next_postures", "online", "scoring",
      "surface_calibration", "verdict"},
-    {"delay_findings", "flow_findings", "log_estimate", "result"},
+    {"delay_findings", "flow_findings", "headline", "log_estimate", "result"},
     {"surface_findings"},
     {"pipeline"},
     {"compare", "views"},

@@ -17,8 +17,8 @@ from . import folders
 Row = dict[str, Any]
 """The results of one log as plain values: a line of results.jsonl."""
 KEYS = frozenset((
-    "name", "log", "key", "status", "exit_code", "error", "messages", "outputs", "scores", "used", "verdict", "faults",
-    "health", "findings",
+    "name", "log", "key", "status", "exit_code", "error", "messages", "outputs", "scores", "used",
+    "verdict", "headline", "faults", "health", "findings",
 ))  # fmt: skip
 """The keys of a row."""
 

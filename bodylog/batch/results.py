@@ -6,9 +6,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from .. import verdict
+from .. import headline, verdict
 from ..io.atomic_files import replacing
-from ..score_names import split, unit
 from . import folders, resume
 from .jobs import Job, Row
 from .resume import ODD
@@ -118,9 +117,9 @@ def _xml(text: str) -> str:
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """A page with the verdict and one line per log; everything from a log is escaped."""
-    names = sorted({name for row in rows for name in row["scores"] if not split(name)[1]})
-    heads = ("log", "status", *(f"{name} [{unit(name)}]" for name in names), "remark")
+    """A page with the verdict and one line per log: its main figures; everything from a log is escaped."""
+    names = [name for name in headline.NAMES if any(name in row["headline"] for row in rows)]
+    heads = ("log", "status", *names, "remark")
     head = "".join(f"<th>{html.escape(name)}</th>" for name in heads)
     text = "\n".join(f"<p>{html.escape(sentence)}</p>" for sentence in verdict.of_batch(rows))
     body = "\n".join(_line(row, names) for row in rows)
@@ -144,7 +143,7 @@ def _line(row: Row, names: Sequence[str]) -> str:
     link = f"{row['name']}/report.html"
     name = html.escape(row["name"])
     first = f'<a href="{html.escape(link)}">{name}</a>' if "report.html" in row["outputs"] else name
-    scores = [f"{v:.5g}" if (v := row["scores"].get(score)) is not None else "" for score in names]
+    figures = [row["headline"].get(figure, "") for figure in names]
     remark = (row["error"] or "").strip().splitlines()[-1:]
-    cells = [first, *(html.escape(cell) for cell in (row["status"], *scores, *(remark or [""])))]
+    cells = [first, *(html.escape(cell) for cell in (row["status"], *figures, *(remark or [""])))]
     return "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"

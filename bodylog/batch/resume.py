@@ -72,9 +72,10 @@ def _is_current(row: Row) -> bool:
     """Whether a row has the keys of this version's rows, and its scores their names."""
     if not row.keys() >= KEYS or not all(isinstance(row[name], kind) for name, kind in _KINDS.items()):
         return False
-    digests = all(isinstance(digest, str) for digest in row["outputs"].values())
+    texts = (*row["outputs"].values(), *row["headline"].values())
+    written = all(isinstance(text, str) for text in texts)
     numbers = all(isinstance(value, float | int | None) for value in row["scores"].values())
-    return digests and numbers and all(split(name)[0] in FIGURES for name in row["scores"])
+    return written and numbers and all(split(name)[0] in FIGURES for name in row["scores"])
 
 
 _KINDS: Mapping[str, Any] = {
@@ -89,6 +90,7 @@ _KINDS: Mapping[str, Any] = {
     "scores": dict,
     "used": dict,
     "verdict": list,
+    "headline": dict,
     "faults": list,
     "health": dict,
     "findings": list,

@@ -133,6 +133,7 @@ def _row(
         "scores": {score.name: _finite(score.value) for score in result.scores} if result else {},
         "used": {sense: health.used for sense, health in result.health.items()} if result else {},
         "verdict": list(result.verdict) if result else [],
+        "headline": dict(result.headline) if result else {},
         "faults": [_plain(fault) for fault in result.faults] if result else [],
         "health": {name: _plain(health) for name, health in result.health.items()} if result else {},
         "findings": [[f.severity, f.text] for f in dict.fromkeys(result.findings)] if result else [],

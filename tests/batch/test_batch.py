@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from bodylog import headline
 from bodylog.batch.jobs import KEYS, named, share
 from bodylog.batch.results import junit
 from bodylog.errors import LogError, UsageError, WriteError
@@ -130,7 +131,11 @@ def test_resumed_batch_equals_an_uninterrupted_one_and_repeats_no_log(tmp_path, 
     assert (resumed / "good.mcap" / "annotated.mcap").stat().st_mtime_ns == kept
 
 
-@pytest.mark.parametrize("old", [{"scores": {"joint_rmse": 0.1, "nees": 1.0}}, {"verdict": None}, {"scores": None}])
+OLD = ({"scores": {"joint_rmse": 0.1, "nees": 1.0}}, {"verdict": None}, {"headline": {"faults": 1}}, {"scores": None})
+"""Rows of other versions."""
+
+
+@pytest.mark.parametrize("old", OLD)
 def test_resume_repeats_a_log_whose_row_has_another_form(old, tmp_path, robot, run_cli):
     typed = ("batch", robot / "reach.mcap", "-o", tmp_path, "--body", robot / "body.npz")
     assert run_cli(*typed) == 0
@@ -147,13 +152,19 @@ def test_a_row_has_the_keys_that_resume_asks_for(tmp_path, robot, run_cli):
     assert set(row) == KEYS
 
 
-def test_summary_begins_with_the_verdict_and_names_units(tmp_path, mixed, robot, run_cli, capsys):
+def test_summary_begins_with_the_verdict_and_shows_what_a_report_does(tmp_path, mixed, robot, run_cli, capsys):
     run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz")
     first, second, *_ = capsys.readouterr().out.splitlines()
     page = (tmp_path / "summary.html").read_text()
     assert f"<h1>4 logs</h1>\n<p>{first}</p>\n<p>{second}</p>\n<table>" in page
     assert first.startswith("4 logs: 2 unusable, 1 passed")
-    assert "<th>rmse/joint [rad]</th>" in page
+    heads = ("log", "status", *headline.NAMES, "remark")
+    assert "".join(f"<th>{name}</th>" for name in heads) in page
+    assert "free_energy" not in page and "log_evidence" not in page
+    scored = next(row for row in _rows(tmp_path).values() if row["headline"])
+    report = (tmp_path / scored["name"] / "report.html").read_text()
+    for name, text in scored["headline"].items():
+        assert f"<td>{text}</td>" in page and f"<div><b>{text}</b>{name}</div>" in report
 
 
 def test_killed_batch_resumes_to_the_same_bytes(tmp_path, mixed, robot, run_cli):

@@ -71,6 +71,7 @@ def hostile_parts():
         "scores": (Score(name, 1.0, name),),
         "pictures": (Picture(1.0, np.zeros((20, 30, 3), np.uint8), name),),
         "provenance": {name: name},
+        "headline": {name: name},
     }
 
 
@@ -107,6 +108,13 @@ def test_page_shows_every_part(tmp_path):
     for reported in words:
         assert reported in page
     assert page.count("data:image/jpeg;base64,") == 6
+
+
+def test_cards_are_the_main_figures_and_scores_stand_in_a_table(tmp_path):
+    page = report(tmp_path / "r.html", headline={"faults": "none found", "delay": "<42 ms"})
+    cards = "<div><b>none found</b>faults</div><div><b>&lt;42 ms</b>delay</div>"
+    assert f'<div class="cards">{cards}</div>' in page
+    assert "<h2>Scores</h2>" in page and "<tr><td>rmse/joint</td><td>0.0068 rad</td></tr>" in page
 
 
 def test_scores_in_parts_are_one_row_per_part(tmp_path):

@@ -3,13 +3,14 @@
 import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from ...io.atomic_files import replacing
 from ...types import Estimate, Features, Recording, Score
 from ..figures import reprojection
 from ..viewers.image_overlay import Picture
 from .data import marks, most_points, plain
-from .tables import escaped, faults, header, notes, score_table, settings, tables, title
+from .tables import escaped, faults, header, notes, score_tables, settings, tables, title
 from .template import document, plots
 from .traces import panels
 
@@ -25,19 +26,23 @@ def write(
     pictures: Sequence[Picture],
     provenance: Mapping[str, str],
     verdict: Sequence[str] = (),
+    headline: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
-    """Write the page to `out`, atomically: no network, the same bytes for the same input."""
+    """Write the page to `out`, atomically: no network, the same bytes for the same input.
+
+    verdict: sentences at the top · headline: the main figures by name, each a card.
+    """
     drawn = panels(recording, features, estimate)
     groups = [plain(drawn, marks(features, estimate), recording.duration_s)] if drawn else []
     zeros = reprojection.zeros(estimate.settings.get("offsets"))
     name = title(recording, provenance)
     body = [
-        header(name, recording, estimate, scores, verdict),
+        header(name, recording, estimate, verdict, headline),
         faults(estimate),
         _plots(most_points(drawn), notes(features, estimate)) if drawn else "",
         _gallery(pictures, features.hand is not None),
         reprojection.section(reprojection.sheets(features, estimate), zeros),
-        score_table(scores),
+        score_tables(scores),
         tables(recording, features, estimate),
         settings(estimate, provenance),
     ]

@@ -38,21 +38,26 @@ def title(recording: Recording, provenance: Mapping[str, str]) -> str:
 
 
 def header(
-    title: str, recording: Recording, estimate: Estimate, scores: Sequence[Score], verdict: Sequence[str] = ()
+    title: str, recording: Recording, estimate: Estimate, verdict: Sequence[str], headline: Mapping[str, str]
 ) -> str:
-    """Title, start, duration, method, the verdict's sentences, and the scores as cards."""
+    """Title, start, duration, method, the verdict's sentences, and the main figures as cards."""
     facts = [_when(recording.start_ns), f"{recording.duration_s:.2f} s", recording.format]
     facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"]
     line = escaped(" · ".join(facts))
-    whole = [score for score in scores if not split(score.name)[1]][:_ROWS]
-    cards = "".join(f"<div><b>{escaped(_quantity(x))}</b>{escaped(x.name)}</div>" for x in whole)
+    cards = "".join(f"<div><b>{escaped(value)}</b>{escaped(name)}</div>" for name, value in headline.items())
     shown = f'\n<div class="cards">{cards}</div>' if cards else ""
     text = "".join(f"\n<p>{escaped(sentence, _TEXT)}</p>" for sentence in verdict)
     return f'<h1>{escaped(title)}</h1>\n<p class="soft">{line}</p>{text}{shown}'
 
 
-def score_table(scores: Sequence[Score]) -> str:
-    """The scores named figure/part: one row per part, one column per figure."""
+def score_tables(scores: Sequence[Score]) -> str:
+    """The scores of the whole log; those named figure/part: one row per part, one column per figure."""
+    whole = [(score.name, _quantity(score)) for score in scores if not split(score.name)[1]]
+    tables = (table("Scores", ("score", "value"), whole), _parts(scores))
+    return "\n".join(text for text in tables if text)
+
+
+def _parts(scores: Sequence[Score]) -> str:
     found = {split(x.name): _quantity(x) for x in scores if split(x.name)[1]}
     figures = list(dict.fromkeys(figure for figure, _ in found))
     parts = dict.fromkeys(part for _, part in found)
