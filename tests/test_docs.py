@@ -14,6 +14,7 @@ from bodylog import __version__
 from docs.generate_cli import page
 
 ROOT = Path(__file__).parents[1]
+CONTRIBUTING = (ROOT / ".github" / "CONTRIBUTING.md").read_text()
 TUTORIAL = (ROOT / "docs" / "tutorial.md").read_text()
 
 
@@ -105,3 +106,28 @@ def _numbers(text: str) -> list[float]:
 
 def _words(text: str) -> str:
     return " ".join(re.sub(r"\d[\d.]*", "", text).split())
+
+
+WRITTEN = [
+    path.read_text(errors="ignore")
+    for folder in ("bodylog", "cli", "tests", "docs")
+    for path in (ROOT / folder).rglob("*")
+    if path.suffix in (".py", ".c", ".h", ".js")
+] + [(ROOT / name).read_text() for name in ("pyproject.toml", "Makefile", "setup.py")]
+
+
+@pytest.mark.parametrize("page", [".github/CONTRIBUTING.md", "docs/architecture.md", "docs/decisions.md"])
+def test_pages_for_developers_name_what_exists(page):
+    words = set(re.findall(r"\w+", "\n".join(WRITTEN)))
+    text = (ROOT / page).read_text()
+    names = {name.rpartition(".")[2] for name in re.findall(r"`([A-Za-z_][\w.]*)(?:\(\))?`", text)}
+    assert names and not names - words
+    files = [str(path) for folder in ("bodylog", "cli", "tests", "docs") for path in (ROOT / folder).rglob("*.py")]
+    files.append(str(ROOT / "setup.py"))
+    named = re.findall(r"`([\w/]+\.py)`", text)
+    assert not [path for path in named if not any(file.endswith(f"/{path}") for file in files)]
+
+
+@pytest.mark.parametrize("table, file", re.findall(r"\| `([A-Z_]+)` in `([\w/]+\.py)` \|", CONTRIBUTING))
+def test_contributing_names_tables_where_they_stand(table, file):
+    assert re.search(rf"^{table}\b.* = ", (ROOT / file).read_text(), re.MULTILINE)
