@@ -20,5 +20,18 @@ IMAGES = ("jpeg", "raw")
 FEATURES = ("ball", "tag", "none")
 CAMERAS = ("head", "wrist")
 PLACES = ("right", "left", "centre")
+HARDWARE: Mapping[str, str] = {
+    "play": "degrees from one end to the other",
+    "sag": "degrees with the arm stretched out",
+    "payload": "degrees of sag beyond the exploration's",
+    "stick": "degrees a joint is driven before it slips",
+    "correlated": "rad@s: standard deviation and time constant",
+    "counts": "encoder steps in a turn",
+    "tails": "degrees of freedom of Student's t",
+    "outliers": "share of encoder readings",
+    "jitter": "s: standard deviation of encoder stamps",
+    "rolling": "s from a picture's first row to its last",
+}
+"""Errors of real joints and encoders that `record --hardware` simulates, and what their numbers mean."""
 FORMATS = ("mcap", "lerobot", "lerobot-2.1")
 VIDEO_CODECS = ("lossless", "h264", "av1")

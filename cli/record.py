@@ -11,10 +11,15 @@ from .options import finite, out_option
 from .setting_options import Choice
 
 _VARIANTS = tuple(dict.fromkeys(variant for variants in choices.VARIANTS.values() for variant in variants))
+_ERRORS = "\n".join(f"  {name:<11}{meaning}" for name, meaning in choices.HARDWARE.items())
 _HELP = f"""Simulate a robot into a log with its true angles.
 
 PyBullet simulates it without a screen; the same seed gives the same bytes.
 SCENARIO is one of {", ".join(choices.VARIANTS)}.
+
+\b
+--hardware takes errors of real joints and encoders, 0 where left out:
+{_ERRORS}
 """
 
 
@@ -48,6 +53,7 @@ SCENARIO is one of {", ".join(choices.VARIANTS)}.
 @click.option("--clutter", is_flag=True, help="Things of the feature's colour, a foreign tag, furniture.")
 @click.option("--split-joints", is_flag=True, help="Arm, head and gripper on topics of their own.")
 @click.option("--camera", type=Choice(choices.CAMERAS), default="head", show_default=True)
+@click.option("--hardware", default="", metavar="NAME=SIZE,...", help="Errors of real joints and encoders (see below).")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 def record(scenario: str, out: Path, size: str, as_json: bool, **options: Any) -> int:
     """Simulate a robot into a log with its true angles."""

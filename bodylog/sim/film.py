@@ -19,6 +19,8 @@ _CAMERA_HZ = 20.0
 _QUALITY = 90
 _WHOLE = 0.99
 _SLIDE = 0.25
+_ROUNDS = 2
+"""The feature moves less than a row in the time that the second round adds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,7 @@ def _film(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
     wall, noise = cameras.background(view.camera, rng), cameras.sensor_noise(view.camera, rng)
     shot: _Shot | None = None
     for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, view.offset_ns):
-        t = stamps / 1e9
+        t = stamps / 1e9 + _exposure_delays(stage, view, stamps / 1e9)
         q, hands = stage.wish.plan.motion.position(t), seen_hand(stage, t)
         for row, log in enumerate(log_times(stamps, 8.0, 14.0, rng)):
             if stage.moves and view.frame == FRAME:
@@ -88,7 +90,44 @@ def _film(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
                 shot = _shoot(stage, view.camera, q[row], wall)
             picture, seen = _compose(stage, view, shot, hands[row], card, t[row])
             picture = cameras.expose(picture, noise, rng)
-            yield from _items(stage, view, shot, int(stamps[row]) + START_NS, int(log), picture, seen)
+            stated = _at_stamp(stage, view, shot, float(stamps[row]) / 1e9)
+            yield from _items(stage, *stated, int(stamps[row]) + START_NS, int(log), picture, seen)
+
+
+def _exposure_delays(stage: Stage, view: _View, t: Array) -> Array:
+    """Time (N,) s from the stamps t (N,) s of pictures, at their first row, to the exposure of the feature's row.
+
+    With a rolling shutter every row is exposed later than the one above it. A whole picture is drawn as of the instant
+    at which the row of its feature is exposed, or the middle row where there is none.
+    """
+    delay = np.zeros(len(t))
+    if not stage.wish.hardware.rolling:
+        return delay
+    for row, instant in enumerate(t):
+        for _ in range(_ROUNDS):
+            height = _feature_height(stage, view, float(instant + delay[row]))
+            delay[row] = stage.wish.hardware.rolling * height
+    return delay
+
+
+def _feature_height(stage: Stage, view: _View, t: float) -> float:
+    """Where the feature's row is at t s, from 0 for the picture's first row to 1 for its last."""
+    camera = stage.seen_from(t) if view.frame == FRAME else view.camera
+    poses = stage.world.pose(stage.wish.plan.motion.position(np.array([t]))[0])
+    feature = _feature(stage, *poses)
+    if feature is None:
+        return 0.5
+    return float(np.clip(feature.pixel(camera)[1] / (camera.height - 1), 0.0, 1.0))
+
+
+def _at_stamp(stage: Stage, view: _View, shot: _Shot, t: float) -> tuple[_View, _Shot]:
+    """The view and the shot with the poses at the picture's stamp t s, which a rolling shutter exposes later."""
+    if not stage.wish.hardware.rolling:
+        return view, shot
+    q = stage.wish.plan.motion.position(np.array([t]))[0]
+    places, turns = stage.world.pose(q)
+    camera = stage.seen_from(t) if view.frame == FRAME else view.camera
+    return replace(view, camera=camera), replace(shot, q=q, places=places, turns=turns)
 
 
 def _shoot(stage: Stage, camera: cameras.Camera, q: Array, wall: Array) -> _Shot:
@@ -114,7 +153,7 @@ def _things(stage: Stage, view: _View, shot: _Shot, place: Array) -> list[tuple[
     """The things to draw with their truth's topics ("" for clutter), nearest first."""
     links = stage.world.links
     things: list[tuple[str, Thing]] = [("", thing) for thing in stage.scene.things]
-    feature = _feature(stage, shot)
+    feature = _feature(stage, shot.places, shot.turns)
     if feature is not None:
         things.append((f"{view.truth}/effector_pixel", feature))
     if stage.wish.options.marker:
@@ -125,13 +164,13 @@ def _things(stage: Stage, view: _View, shot: _Shot, place: Array) -> list[tuple[
     return sorted(things, key=lambda thing: float(np.linalg.norm(thing[1].place - view.camera.position)))
 
 
-def _feature(stage: Stage, shot: _Shot) -> Ball | Plate | None:
-    """The feature in the base frame."""
+def _feature(stage: Stage, places: Array, turns: Array) -> Ball | Plate | None:
+    """The feature in the base frame, for positions and orientations of the links."""
     feature, link = stage.scene.feature, stage.scene.link
     if feature is None or link is None:
         return feature
     number = stage.world.links.index(link)
-    return feature.moved(shot.places[number], matrix(shot.turns[number]))
+    return feature.moved(places[number], matrix(turns[number]))
 
 
 def _items(
@@ -154,7 +193,7 @@ def _items(
 
 def _feature_pose(stage: Stage, shot: _Shot, stamp: int, log: int) -> Iterator[Item]:
     """/truth/feature_pose, where the feature is not simply the effector."""
-    feature = _feature(stage, shot)
+    feature = _feature(stage, shot.places, shot.turns)
     if isinstance(feature, Plate) or (feature is not None and stage.mount is not None):
         rotation = feature.rotation if isinstance(feature, Plate) else np.eye(3)
         pose = messages.pose(stamp, feature.place, quaternion(rotation))

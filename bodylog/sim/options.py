@@ -17,7 +17,8 @@ class Options:
     size: image size in px. marker: a blue ball on the arm, for a second visual sense. cameras: 2 adds one at the side.
     turning: the head turns, one more joint. feature: the thing on the arm, or for a camera on the wrist the one in
     the scene; feature_size in m. clutter: things of the feature's colour, a foreign tag and furniture. split_joints:
-    arm, head and gripper publish on separate topics. camera: the first camera's mount.
+    arm, head and gripper publish on separate topics. camera: the first camera's mount. hardware: errors of real joints
+    and encoders, as typed (`parse_hardware`).
     """
 
     seed: int = 0
@@ -37,6 +38,7 @@ class Options:
     clutter: bool = False
     split_joints: bool = False
     camera: str = "head"
+    hardware: str = ""
 
     @property
     def side(self) -> float:

@@ -2,6 +2,7 @@
 
 import heapq
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ from ..errors import UsageError
 from ..io import atomic_files
 from .arms import ARMS
 from .film import camera_items, side_items
+from .hardware import parse_hardware
+from .joint_motion import move_joints
 from .options import Options, check, check_camera, within
 from .plan import Plan, Request, choose, unknown
 from .scenarios import SCENARIOS
@@ -32,7 +35,10 @@ def record(scenario: str, out: Path, *, progress: Callable[[int], None] | None =
     check_camera(scenario, plan, asked)
     wished = plan.noise if asked.noise is None else asked.noise
     within("noise", wished, 0.0, 10.0)
-    wish = Wish(scenario, asked, ARMS[asked.arm], plan, length, wished)
+    hardware = parse_hardware(asked.hardware)
+    arm = ARMS[asked.arm]
+    joints = move_joints(plan.motion, hardware, arm, length)
+    wish = Wish(scenario, asked, arm, replace(plan, motion=joints.links), length, wished, hardware, joints)
     with atomic_files.replacing(out) as beside, open_stage(wish) as stage:
         _write(beside, stage, progress)
 
@@ -90,7 +96,7 @@ def _channel(writer: Any, topic: str, kind: str) -> int:
 def _settings(wish: Wish) -> dict[str, str]:
     """The log's metadata about its recording; newer options only where they are used."""
     options, usual = wish.options, Options()
-    newer = ("cameras", "turning", "feature", "feature_size", "clutter", "split_joints", "camera")
+    newer = ("cameras", "turning", "feature", "feature_size", "clutter", "split_joints", "camera", "hardware")
     used = {name: getattr(options, name) for name in newer if getattr(options, name) != getattr(usual, name)}
     return {name: str(value).lower() for name, value in used.items()} | {
         "scenario": wish.scenario,

@@ -16,7 +16,9 @@ from . import camera as cameras
 from . import hand, scene
 from .arms import Arm
 from .camera import Camera
+from .hardware import Hardware
 from .head import Sway, gripper, head, turned
+from .joint_motion import JointMotion
 from .options import Options
 from .plan import Plan
 from .scene import Scene
@@ -44,7 +46,10 @@ class Item:
 
 @dataclass(frozen=True)
 class Wish:
-    """A recording's scenario and options, and the resulting arm, plan, duration s and noise rad."""
+    """A recording's scenario and options, and the resulting arm, plan, duration s and noise rad.
+
+    hardware: errors of joints and encoders · joints: the arm's motors and links; the plan's motion is the links'.
+    """
 
     scenario: str
     options: Options
@@ -52,6 +57,8 @@ class Wish:
     plan: Plan
     duration: float
     noise: float
+    hardware: Hardware
+    joints: JointMotion
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,13 +9,16 @@ import numpy as np
 from ..types import Array
 from . import hand, messages, skin
 from .camera import ellipse_centre
+from .hardware import encoder_noise, rounded_to_counts
 from .head import Sway
-from .plan import Contact, Plan
-from .stage import FRAME, START_NS, Item, Stage, log_times, seen_hand, stamps_of
+from .plan import Contact
+from .stage import FRAME, START_NS, Item, Stage, Wish, log_times, seen_hand, stamps_of
 from .world import HAND_RADIUS
 
 _JOINT_HZ, _SKIN_HZ = 100.0, 100.0
 _RATE_NOISE = 0.01
+_HARDWARE = 10
+"""Number of the random generator of errors of the hardware."""
 
 
 @dataclass(frozen=True)
@@ -44,21 +47,39 @@ def encoder_items(stage: Stage) -> Iterator[Item]:
     others = [sway for sway in (stage.head, stage.gripper) if sway is not None]
     true_names = [*stage.wish.arm.joints, *(sway.joint for sway in others)]
     names, order = _alphabetical(stage.wish.arm.joints if split else true_names)
+    lasting, late = _hardware_errors(stage)
+    first = 0
     for stamps in stamps_of(stage.wish.duration, _JOINT_HZ, 0):
         t = stamps / 1e9
-        q, rate = stage.wish.plan.motion.position(t), stage.wish.plan.motion.rate(t)
-        read, speed = _encoders(stage.wish.plan, t, q, stage.wish.noise, rng)
+        q, rate = stage.wish.joints.truth.position(t), stage.wish.joints.truth.rate(t)
+        rows = slice(first, first + len(t))
+        first += len(t)
+        read, speed = _encoders(stage.wish, t, rng, None if lasting is None else lasting[rows])
         for sway in others:
             angle, turn = sway.angle(t)[:, None], sway.rate(t)[:, None]
             q, rate = np.hstack([q, angle]), np.hstack([rate, turn])
             if not split:
                 speed = np.hstack([speed, turn])
                 read = np.hstack([read, angle + rng.normal(0.0, 1.0, angle.shape) * stage.wish.noise])
+        stated = stamps + START_NS if late is None else stamps + START_NS + late[rows]
         for row, (stamp, log) in enumerate(zip(stamps + START_NS, log_times(stamps, 4.0, 6.0, rng), strict=True)):
-            seen = messages.joint_state(int(stamp), names, read[row, order], speed[row, order])
-            yield Item(int(log), int(stamp), "/arm/joint_states" if split else "/joint_states", seen)
+            seen = messages.joint_state(int(stated[row]), names, read[row, order], speed[row, order])
+            yield Item(int(log), int(stated[row]), "/arm/joint_states" if split else "/joint_states", seen)
             truth = messages.joint_state(int(stamp), true_names, q[row], rate[row])
             yield Item(int(log), int(stamp), "/truth/joint_states", truth)
+
+
+def _hardware_errors(stage: Stage) -> tuple[Array | None, Array | None]:
+    """Errors (N,M) rad of the arm's encoders and of their stamps (N,) ns; None where its hardware has none."""
+    hardware, rng = stage.wish.hardware, stage.chance(_HARDWARE)
+    shape = sum(len(block) for block in stamps_of(stage.wish.duration, _JOINT_HZ, 0)), len(stage.wish.arm.joints)
+    errors = encoder_noise(hardware, stage.wish.noise, shape, _JOINT_HZ, rng) if hardware.replaces_noise else None
+    if not hardware.jitter:
+        return errors, None
+    stamps = np.arange(shape[0]) / _JOINT_HZ
+    # stamps of one topic do not go back
+    jittered = np.maximum.accumulate(stamps + hardware.jitter * rng.standard_normal(shape[0]))
+    return errors, np.rint((jittered - stamps) * 1e9).astype(np.int64)
 
 
 def _alphabetical(names: Sequence[str]) -> tuple[list[str], Array]:
@@ -88,11 +109,15 @@ def _other(stage: Stage, sway: Sway, part: _Part) -> Iterator[Item]:
             yield Item(int(log), stamp, part.topic, seen)
 
 
-def _encoders(plan: Plan, t: Array, q: Array, noise: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """The encoders' readings and their speeds (N,M)."""
-    read = plan.encoders(t, q, rng.normal(0.0, 1.0, q.shape) * noise)
-    before, after = (plan.encoders(t + h, plan.motion.position(t + h), np.zeros(q.shape)) for h in (-1e-4, 1e-4))
-    return read, (after - before) / 2e-4 + rng.normal(0.0, _RATE_NOISE, q.shape)
+def _encoders(wish: Wish, t: Array, rng: np.random.Generator, errors: Array | None) -> tuple[Array, Array]:
+    """The encoders' readings and their speeds (N,M); `errors` (N,M) rad in place of independent noise."""
+    motors, plan = wish.joints.motors, wish.plan
+    q = motors.position(t)
+    independent = rng.normal(0.0, 1.0, q.shape) * wish.noise
+    read = plan.encoders(t, q, independent if errors is None else errors)
+    before, after = (plan.encoders(t + h, motors.position(t + h), np.zeros(q.shape)) for h in (-1e-4, 1e-4))
+    speed = (after - before) / 2e-4 + rng.normal(0.0, _RATE_NOISE, q.shape)
+    return rounded_to_counts(wish.hardware, read), speed
 
 
 def skin_items(stage: Stage) -> Iterator[Item]:

@@ -1,13 +1,13 @@
 """Arms with the errors of real mechanisms, explored and then replayed with a fault, drawn from a seed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import lfilter
 
 from bodylog import body
 from bodylog.body_model import BodyModel
 from bodylog.settings import Settings
+from bodylog.sim.hardware import Hardware, add_play, add_stick, encoder_noise, rounded_to_counts
 from bodylog.types import Array, Features, Series
 from tests.estimation.conftest import JOINTS, Arm
 
@@ -19,33 +19,22 @@ _GRAVITY = np.array([0.0, 1.0, 0.4])
 
 @dataclass(frozen=True)
 class Mechanism:
-    """How joints turn and are read; all angles in rad, 0 where an error is absent.
-
-    `white`: noise of each reading · `lasting`, `memory`: an Ornstein-Uhlenbeck error and its time (s) · `count`: an
-    encoder's step · `tails`: degrees of freedom of Student's t in place of the normal noise · `jitter`: of the stamps
-    (s) · `play`: between motor and link · `sag`: of the lift, its arm stretched out · `slip`: how far a joint sticks ·
-    `outliers`: share of readings that are 0.2 rad off · `camera_hz`: images a second.
-    """
+    """How joints turn and are read: noise of each reading `white` (rad), errors of the hardware, images a second."""
 
     white: float = 1e-3
-    lasting: float = 0.0
-    memory: float = 1.0
-    count: float = 0.0
-    tails: float = 0.0
-    jitter: float = 0.0
-    play: float = 0.0
-    sag: float = 0.0
-    slip: float = 0.0
-    outliers: float = 0.0
+    hardware: Hardware = field(default_factory=Hardware)
     camera_hz: float = 20.0
 
 
 SOUND = Mechanism()
 QUIET = Mechanism(2e-4, camera_hz=10.0)
-QUANTISED = Mechanism(1e-5, count=2 * np.pi / 4096)
-CORRELATED = Mechanism(lasting=2e-3, memory=2.0)
+QUANTISED = Mechanism(1e-5, Hardware(counts=4096))
+CORRELATED = Mechanism(hardware=Hardware(correlated=2e-3, correlation_s=2.0))
 REALISTIC = Mechanism(
-    5e-4, lasting=1e-3, count=2 * np.pi / 4096, tails=4.0, jitter=1e-3, play=4e-3, sag=3e-3, slip=1e-3, outliers=1e-3
+    5e-4,
+    Hardware(
+        play=4e-3, sag=3e-3, stick=1e-3, correlated=1e-3, counts=4096, tails=4.0, outliers=1e-3, jitter=1e-3
+    ),
 )
 
 
@@ -72,16 +61,17 @@ def replayed(
     t = np.arange(0.0, duration, 1 / ENCODER_HZ)
     frames = np.arange(0.003, duration, 1 / mechanism.camera_hz)
     motors = (_reaching if reaches else _wandering)(t, rng)
-    sagging = (mechanism.sag + fault.payload) * np.cos(motors[:, 1:2]) * _GRAVITY
-    links = _loose(_loose(motors, mechanism.play), mechanism.slip) + sagging
+    hardware = mechanism.hardware
+    motors = add_stick(motors, hardware.stick)
+    sagging = (hardware.sag + hardware.payload + fault.payload) * np.cos(motors[:, 1:2]) * _GRAVITY
+    links = add_play(motors, hardware.play) + sagging
     at_frames = np.column_stack([np.interp(frames, t, column) for column in links.T])
     seen = Arm().place(at_frames) + rng.normal(0.0, PIXEL_STD, (len(frames), 2))
     since = np.maximum(t - 8.0, 0.0)
-    read = motors + _noise(rng, motors.shape, mechanism)
+    read = motors + encoder_noise(hardware, mechanism.white, motors.shape, ENCODER_HZ, rng)
     read[:, fault.joint] += fault.drift * since + fault.offset * (since > 0.0)
-    if mechanism.count:
-        read = np.round(read / mechanism.count) * mechanism.count
-    stamps = np.maximum.accumulate(t + rng.normal(0.0, 1.0, len(t)) * mechanism.jitter)
+    read = rounded_to_counts(hardware, read)
+    stamps = np.maximum.accumulate(t + rng.normal(0.0, 1.0, len(t)) * hardware.jitter)
     joints = Series(stamps, read, JOINTS, "rad", (t * 1e9).astype(np.int64))
     std = np.full(seen.shape, PIXEL_STD)
     track = Series(frames, seen, ("u", "v"), "px", (frames * 1e9).astype(np.int64), std)
@@ -107,23 +97,3 @@ def _reaching(t: Array, rng: np.random.Generator) -> Array:
         here = there
         begin += 1.0 + rng.uniform(0.0, 1.0)
     return angles
-
-
-def _loose(driving: Array, play: float) -> Array:
-    """Angles that follow the driving ones (N,M) only once these are half the play away."""
-    driven = driving.copy()
-    for k in range(1, len(driving)) if play else ():
-        driven[k] = np.clip(driven[k - 1], driving[k] - play / 2, driving[k] + play / 2)
-    return driven
-
-
-def _noise(rng: np.random.Generator, shape: tuple[int, int], mechanism: Mechanism) -> Array:
-    tails = mechanism.tails
-    unit = rng.standard_t(tails, shape) / np.sqrt(tails / (tails - 2)) if tails else rng.standard_normal(shape)
-    noise = mechanism.white * unit
-    if mechanism.lasting:
-        kept = np.exp(-1 / ENCODER_HZ / mechanism.memory)
-        driven = np.sqrt(1 - kept**2) * rng.standard_normal(shape)
-        noise += mechanism.lasting * np.asarray(lfilter([1.0], [1.0, -kept], driven, axis=0))
-    noise += 0.2 * rng.choice([-1.0, 1.0], shape) * (rng.random(shape) < mechanism.outliers)
-    return np.asarray(noise)

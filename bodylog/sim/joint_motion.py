@@ -1,0 +1,82 @@
+"""Where motors and links are while an arm is driven along a path, for joints with play, sag and stick-slip."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..kinematics import chain, urdf
+from ..types import Array
+from .arms import Arm
+from .hardware import Hardware, add_play, add_stick
+from .motion import Motion
+
+_GRID_HZ = 200.0
+_HALF_STEP_S = 1e-4
+
+
+@dataclass(frozen=True)
+class JointMotion:
+    """Paths of the motors, which encoders read; of the links, which cameras see; and of the links in the frame of the
+    encoders during the exploration, in which sag that was there already is no error: the truth.
+    """
+
+    motors: Motion
+    links: Motion
+    truth: Motion
+
+
+def move_joints(commanded: Motion, hardware: Hardware, arm: Arm, duration: float) -> JointMotion:
+    """The motion of joints that are driven along the commanded path for `duration` s."""
+    if not hardware.bends:
+        return JointMotion(commanded, commanded, commanded)
+    t = np.arange(0.0, duration + 1.0 / _GRID_HZ, 1.0 / _GRID_HZ)
+    path = commanded.position(t)
+    driven = add_stick(path, hardware.stick)
+    behind = driven - path
+    slack = add_play(driven, hardware.play) - driven
+    levers = _gravity_levers(arm)
+
+    def motors(at: Array) -> Array:
+        return commanded.position(at) + _interpolated(at, t, behind)
+
+    def sagging(at: Array, load: float) -> Array:
+        angles = motors(at)
+        loose = angles + _interpolated(at, t, slack)
+        return loose - load * levers(angles) if load else loose
+
+    truth = _moving(lambda at: sagging(at, hardware.payload))
+    links = _moving(lambda at: sagging(at, hardware.sag + hardware.payload))
+    return JointMotion(_moving(motors), links, truth)
+
+
+def _interpolated(at: Array, t: Array, values: Array) -> Array:
+    """Values (K,M) at times t (K,) s, interpolated to times at (N,) s."""
+    return np.column_stack([np.interp(at, t, column) for column in values.T])
+
+
+def _moving(position: Callable[[Array], Array]) -> Motion:
+    """The motion along a path whose rate has no formula."""
+
+    def rate(t: Array) -> Array:
+        return (position(t + _HALF_STEP_S) - position(t - _HALF_STEP_S)) / (2.0 * _HALF_STEP_S)
+
+    return Motion(position, rate)
+
+
+def _gravity_levers(arm: Arm) -> Callable[[Array], Array]:
+    """How far the weight of the effector turns each joint (N,M) at angles (N,M), where 1 is the whole arm's length.
+
+    A joint with a spring turns by its torque over the spring's constant; the torque of a weight is minus the derivative
+    of its height by the joint.
+    """
+    robot = urdf.load(arm.urdf)
+    hand = chain.between(robot, robot.root, "effector").over(arm.joints)
+    # the first joint's column stands upright: it carries nothing
+    length = float(np.linalg.norm(hand.fixed[2:, :3, 3], axis=1).sum())
+
+    def levers(angles: Array) -> Array:
+        poses = hand.at(angles)
+        return hand.slopes(poses, poses.place[:, None])[:, 0, 2] / length
+
+    return levers
