@@ -36,7 +36,7 @@ ROOMS = {
     "estimation": {*RECORDS, "kinematics", "linear_algebra", "motion"},
     "evaluation": RECORDS,
     "report": RECORDS,
-    "sim": {*RECORDS, "choices"},
+    "sim": {*RECORDS, "choices", "kinematics"},
 }
 """Which parts of bodylog a room may import; what imports several rooms stands in LAYERS, each above the one before."""
 LAYERS = (
