@@ -19,6 +19,7 @@ from ..logs.records import Array, Batch, Finding, Topic
 from ..logs.topics import independent
 from ..settings import Settings
 from . import role_values
+from .clock_steps import ClockStep, Mended, Times, mend_clocks
 from .clocks import Timing, order_by_time
 from .roles import Role
 from .stamp_field import stamp_field
@@ -28,7 +29,10 @@ _JOINT_FIELDS = ("name", "position")
 
 
 class Stream(NamedTuple):
-    """One role's messages in time order: values (m,D), log_ns (m,), and the counts behind its health."""
+    """One role's messages in time order: values (m,D), log_ns (m,), and the counts behind its health.
+
+    steps: of its clocks, which are taken out of its times; log_ns is as recorded.
+    """
 
     role: Role
     timing: Timing
@@ -44,6 +48,7 @@ class Stream(NamedTuple):
     sets: tuple[role_values.Named, ...]
     unit: str
     shifted_s: float = 0.0
+    steps: tuple[ClockStep, ...] = ()
 
 
 def read_streams(
@@ -55,7 +60,11 @@ def read_streams(
     """
     alone = sum(role.role == "joints" for role in found.values()) < 2
     read = _columns(log, found, name)
-    timing = _rising({role: _stream(*source, settings, name, alone) for role, source in read.items()})
+    signals = {role: _undated(*source, settings, name, alone) for role, source in read.items()}
+    mended = mend_clocks({role: _times(*read[role], signal) for role, signal in signals.items()})
+    timing = _rising(
+        {role: _stream(*read[role], signals[role], mended[role], settings, name) for role in read}
+    )
     usable = {role: stream for role, stream in timing.items() if len(stream.timing.t_ns)}
     empty = (_empty(stream, settings, name) for role, stream in timing.items() if role not in usable)
     return _one_epoch(usable), tuple(empty)
@@ -109,16 +118,41 @@ def _fields(role: Role) -> tuple[str, ...]:
     return (role.field,) if role.field else _JOINT_FIELDS
 
 
-def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str, alone: bool) -> Stream:
+def _undated(
+    role: Role, read: tuple[Columns, ...], settings: Settings, name: str, alone: bool
+) -> role_values.Signal:
+    """A role's values and stamps in the file's order."""
     stamp = stamp_field(role.topics[0])
     found = list(role_values.blocks(read, stamp, _fields(role)))
-    signal = _signal(role, found, settings, f"{name}: {role.topic}", alone)
+    return _signal(role, found, settings, f"{name}: {role.topic}", alone)
+
+
+def _times(role: Role, read: tuple[Columns, ...], signal: role_values.Signal) -> Times:
+    """The times of a signal's messages; a table of still poses has no clock."""
+    log_ns = np.concatenate([some.log_ns for some in read])[signal.rows]
+    if independent(role.topics):
+        return Times(log_ns[:0], None)
+    ends = np.cumsum([len(some.log_ns) for some in read])[:-1]
+    return Times(log_ns, signal.stamp_ns, tuple(np.searchsorted(signal.rows, ends).tolist()))
+
+
+def _stream(
+    role: Role,
+    read: tuple[Columns, ...],
+    signal: role_values.Signal,
+    mended: Mended,
+    settings: Settings,
+    name: str,
+) -> Stream:
+    """The messages of one role in time order, in the role's unit."""
     log_ns = np.concatenate([some.log_ns for some in read])
     choice = getattr(settings.time, role.role)
     if choice == "header" and signal.stamp_ns is None and len(signal.rows):
         raise LogError(f'{name}: [time] {role.role} = "header", but {role.topic} has no header; use "log" or "auto"')
     by_name = role.role in ("joints", "truth", "reference")
-    timing = order_by_time(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
+    if independent(role.topics):
+        mended = Mended(log_ns[signal.rows], signal.stamp_ns)
+    timing = order_by_time(mended.log_ns, mended.stamp_ns, choice, distinct=not by_name)
     values, idle, beyond, wraps = signal.values[timing.rows], 0, 0, dict[str, int]()
     # true angles are in rad or degrees, never in encoder counts
     unit_text = settings.body.unit if role.role == "joints" or counted(settings.body.unit) is None else "rad"
@@ -137,7 +171,7 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     slow = sum(some.fallback for some in read)
     return Stream(
         role, timing, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow, beyond,
-        wraps, signal.sets, unit.unit if by_name else "",
+        wraps, signal.sets, unit.unit if by_name else "", steps=mended.steps,
     )  # fmt: skip
 
 

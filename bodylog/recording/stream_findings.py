@@ -33,6 +33,7 @@ def stream_findings(stream: Stream) -> Iterator[Finding]:
     if stream.shifted_s:
         by = f"{stream.shifted_s:.6g} s"
         yield Finding("warning", f"{name}: its clock is not the others'; shifted by {by} to meet them")
+    yield from (Finding("warning", f"{name}: {text}") for text in _clock_steps(stream))
     if len(timing.backwards):
         yield Finding("warning", f"{name}: {_backwards(stream)}")
     if timing.out_of_order:
@@ -80,6 +81,26 @@ def _vanishing(stream: Stream) -> Iterator[str]:
             yield f"{name} vanishes: no reading after {known[-1]:.3f} s, while others go on until {t[-1]:.3f} s"
         if known[0] > long:
             yield f"{name} has no reading before {known[0]:.3f} s"
+
+
+def _clock_steps(stream: Stream) -> Iterator[str]:
+    """Where a stream's clocks were set, by how much, and how its times were put onto one clock."""
+    first = min((int(stream.log_ns.min()), *(step.at_ns for step in stream.steps)))
+    recorder_rows = {step.row for step in stream.steps if step.clock == "log"}
+    own_rows = {step.row for step in stream.steps if step.clock == "header"}
+    for step in stream.steps:
+        if step.clock == "header" and step.row in recorder_rows:
+            continue
+        whose = "its clock" if step.clock == "header" else "the recorder's clock"
+        if step.row in own_rows & recorder_rows:
+            whose = "its clock and the recorder's"
+        way = "back" if step.by_ns > 0 else "forward again"
+        when = f"{(step.at_ns - first) / 1e9:.3f} s after its first message"
+        known = "log time" if step.clock == "header" else "the usual time between messages"
+        yield (
+            f"{whose} stepped {way} by {abs(step.by_ns) / 1e9:.3f} s, {when}; "
+            f"later times are put onto the clock before it, by {known}"
+        )
 
 
 def _backwards(stream: Stream) -> str:

@@ -12,6 +12,7 @@ from ..logs.protocol import Log
 from ..settings import Settings
 from ..sources import TopicSource
 from ..types import Array, Health, Series, Topic
+from .clock_steps import Times, mend_clocks
 from .clocks import largest_gap, order_by_time, seconds
 from .stamp_field import stamp_field
 
@@ -56,7 +57,8 @@ def track(log: Log, name: str, source: TopicSource, settings: Settings, start_ns
         rejected = {**rejected, **({"not in the message": empty} if empty else {})}
         why = ", ".join(f"{count} {reason}" for reason, count in rejected.items()) or "no message can be read"
         raise LogError(f"{log.path}: [features] {name}: {source.topic} shows no place: {why}")
-    timing = order_by_time(found.log_ns[rows], stamps, settings.time.camera)
+    mended = mend_clocks({name: Times(found.log_ns[rows], stamps)})[name]
+    timing = order_by_time(mended.log_ns, mended.stamp_ns, settings.time.camera)
     own = (timing.offset_ns or 0) if timing.clock == "header" else 0
     shift = own - late_ns if abs(own - late_ns) > 60_000_000_000 else 0
     values = places[timing.rows]
