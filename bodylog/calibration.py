@@ -30,13 +30,17 @@ def load(body: Path) -> "Calibration":
 
 
 def table(found: "Calibration") -> dict[str, Any]:
-    """As plain values, in m, rad and px: {"cameras", "markers", "zeros", "scales"}; None: not identifiable."""
+    """As plain values, in m, rad and px: {"cameras", "markers", "zeros", "scales", "earlier"}; None: not identifiable.
+
+    earlier: where cameras and markers were before they moved between logs.
+    """
     cameras = zip(found.cameras, found.lenses, strict=True)
     return {
         "cameras": {camera_name(one.name): _pose(one) | _lens(lens) for one, lens in cameras},
         "markers": {one.name: _pose(one) for one in found.markers},
         "zeros": plain(found.zeros),
         "scales": plain(found.scales),
+        "earlier": {one.name: _pose(one) for one in found.earlier},
     }
 
 
@@ -92,7 +96,7 @@ def lines(found: "Calibration") -> Iterator[str]:
         yield f"  {lens_line(lens)}"
         if camera.identifiable:
             yield f"  {transform_command(camera)}"
-    for marker in found.markers:
+    for marker in (*found.markers, *found.earlier):
         yield from placement_lines(marker)
     yield from zero_lines((*found.zeros, *found.scales))
 

@@ -140,7 +140,29 @@ def _provenance(found: Any) -> dict[str, Any]:
     if "image_sizes" in provenance and not _are_sizes(provenance["image_sizes"]):
         given = str(provenance["image_sizes"])[:200]
         raise ValueError(f"provenance.image_sizes: found {given}, possible: {{camera: [width, height]}} in px")
+    if not _are_placements(provenance.get("earlier_placements", [])):
+        given = str(provenance["earlier_placements"])[:200]
+        wanted = "a list of name, link, pose (4 × 4), place_std (3), turn_std (3), turns"
+        raise ValueError(f"provenance.earlier_placements: found {given}, possible: {wanted}")
     return provenance
+
+
+def _are_placements(found: Any) -> bool:
+    """Whether a value is a list of placements as plain values (Placement.plain)."""
+    if not isinstance(found, list):
+        return False
+    for one in found:
+        if not isinstance(one, dict) or set(one) != {"name", "link", "pose", "place_std", "turn_std", "turns"}:
+            return False
+        rows = one["pose"]
+        lists = [one["place_std"], one["turn_std"], *(rows if isinstance(rows, list) else [])]
+        if len(lists) != 6 or not all(isinstance(row, list) for row in lists):
+            return False
+        if [len(row) for row in lists] != [3, 3, 4, 4, 4, 4] or not all(_is_number(v) for row in lists for v in row):
+            return False
+        if not isinstance(one["turns"], bool) or not all(isinstance(one[key], str) for key in ("name", "link")):
+            return False
+    return True
 
 
 def _are_sizes(found: Any) -> bool:

@@ -72,16 +72,17 @@ class Found:
 
 def find(
     robot: Robot, joints: Sequence[str], still: Mapping[str, float], tracks: Mapping[str, Track],
-    hints: Mapping[str, CameraHint], doubt: float, scale: float = 0.0,
+    hints: Mapping[str, CameraHint], doubt: float, scale: float = 0.0, carried: Mapping[str, str] | None = None,
 ) -> Found:  # fmt: skip
     """Find the most likely links of camera and marker for each track, then calibrate all tracks together.
 
     joints: names of the data's columns · still: angles of joints that did not move · doubt: prior std of joint zeros,
-    rad · scale: prior std of joint scales; 0 keeps them at 1. Give the most reliable tracks first.
+    rad · scale: prior std of joint scales; 0 keeps them at 1 · carried: links of markers where they are known. Give the
+    most reliable tracks first.
     """
     space = Space(robot, tuple(joints), still, doubt, scale)
     placed: dict[str, str] = {name: hint.link for name, hint in hints.items() if hint.link is not None}
-    markers, margin, best = dict[str, str](), None, None
+    markers, margin, best = dict(carried or {}), None, None
     for track in tracks.values():
         if track.camera in placed and track.marker in markers:
             continue

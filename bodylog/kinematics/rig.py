@@ -47,13 +47,24 @@ class Carrier:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """One marker before one camera: chain from the camera's link to the marker's · points (C,3) of the marker, m."""
+    """One marker before one camera: chain from the camera's link to the marker's · points (C,3) of the marker, m.
+
+    by_log: (camera, carrier) in each log where one of them moved between logs; empty where they are the same in all.
+    """
 
     name: str
     camera: int
     carrier: int
     chain: Chain
     points: Array = field(default_factory=lambda: np.zeros((1, 3)))
+    by_log: tuple[tuple[int, int], ...] = ()
+
+    def in_log(self, log: int) -> "Sight":
+        """The sight with its camera and its marker where they are in a log."""
+        if not self.by_log:
+            return self
+        camera, carrier = self.by_log[log]
+        return replace(self, camera=camera, carrier=carrier, by_log=())
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +74,7 @@ class Rig:
 
     θ: each camera's pose (6) and lens (6), each marker's place (3) or place and rotation (6), each joint's offset δ,
     and each joint's scale s where `scale_doubt` is (M,) and not empty: a joint that reads q is at (1 + s) q + δ.
+    lenses: the camera whose lens each camera has, itself if empty; a camera that moved between logs keeps its lens.
     """
 
     cameras: tuple[Camera, ...]
@@ -71,6 +83,7 @@ class Rig:
     joints: tuple[str, ...]
     doubt: Array
     scale_doubt: Array = field(default_factory=lambda: np.zeros(0))
+    lenses: tuple[int, ...] = ()
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
@@ -84,6 +97,11 @@ class Rig:
     def of_camera(self, index: int) -> slice:
         """A camera's 12 unknowns in θ."""
         return slice(12 * index, 12 * index + 12)
+
+    def of_lens(self, index: int) -> slice:
+        """The 6 unknowns of a camera's lens in θ."""
+        begin = self.of_camera(self.lenses[index] if self.lenses else index).start
+        return slice(begin + 6, begin + 12)
 
     def of_carrier(self, index: int) -> slice:
         """A marker's 3 or 6 unknowns in θ."""
@@ -110,23 +128,42 @@ class Rig:
         scales = theta[self.of_scales]
         return 1.0 + scales if len(scales) else np.ones(len(self.joints))
 
-    def see(self, sight: Sight, theta: Array, q: Array) -> "Seen":
-        """Predict a sight at joint readings q (N,M), rad or m, for unknowns theta (P,)."""
-        return _see(self, sight, theta, q)
+    def see(self, sight: Sight, theta: Array, q: Array, log: Array | None = None) -> "Seen":
+        """Predict a sight at joint readings q (N,M), rad or m, for unknowns theta (P,).
+
+        log (N,): the log of each row, for a sight that differs between logs; without it, that of its own camera and
+        marker.
+        """
+        if log is None or not sight.by_log:
+            return _see(self, sight, theta, q)
+        seen = _see(self, sight, theta, q)
+        for number in np.unique(log):
+            rows = np.flatnonzero(log == number)
+            part = _see(self, sight.in_log(int(number)), theta, q[rows])
+            for name in ("image", "slope", "design", "stretch"):
+                getattr(seen, name)[rows] = getattr(part, name)
+        return seen
 
     def slides(self, joint: int) -> bool:
         """Whether a joint is prismatic, by the first chain that contains it."""
         chains = (one.chain for one in self.sights)
         return next((bool(c.slides[list(c.column).index(joint)]) for c in chains if joint in c.column), False)
 
-    def alone(self, index: int) -> tuple["Rig", Array]:
-        """Return the rig of one sight, and the indices of θ (P,) that it keeps."""
-        sight = self.sights[index]
-        parts = self.of_camera(sight.camera), self.of_carrier(sight.carrier), self.of_joints, self.of_scales
+    def alone(self, index: int, log: int | None = None) -> tuple["Rig", Array]:
+        """Return the rig of one sight, as it is in a log if one is given, and the indices of θ (P,) that it keeps."""
+        sight = self.sights[index] if log is None else self.sights[index].in_log(log)
+        pose = self.of_camera(sight.camera)
+        parts = (
+            slice(pose.start, pose.start + 6),
+            self.of_lens(sight.camera),
+            self.of_carrier(sight.carrier),
+            self.of_joints,
+            self.of_scales,
+        )
         used = np.concatenate([np.arange(part.start, part.stop) for part in parts])
         camera, carrier = self.cameras[sight.camera], self.carriers[sight.carrier]
-        one = replace(sight, camera=0, carrier=0)
-        return replace(self, cameras=(camera,), carriers=(carrier,), sights=(one,)), used
+        one = replace(sight, camera=0, carrier=0, by_log=())
+        return replace(self, cameras=(camera,), carriers=(carrier,), sights=(one,), lenses=()), used
 
     def camera_pose(self, index: int, theta: Array) -> Array:
         """The camera's link in the camera (4,4), m."""
@@ -157,17 +194,19 @@ def _moved(unknowns: Array) -> Array:
 
 def _see(rig: Rig, sight: Sight, theta: Array, q: Array) -> Seen:
     camera, carrier = rig.cameras[sight.camera], rig.carriers[sight.carrier]
-    own, mine = theta[rig.of_camera(sight.camera)], theta[rig.of_carrier(sight.carrier)]
+    own, lens = theta[rig.of_camera(sight.camera)][:6], theta[rig.of_lens(sight.camera)]
+    mine = theta[rig.of_carrier(sight.carrier)]
     poses = sight.chain.at(rig.angles(theta, q))
     marker, by_marker = _shifted(sight.points @ carrier.anchor[:3, :3].T + carrier.anchor[:3, 3], mine)
     linked = marker @ poses.rotation.transpose(0, 2, 1) + poses.place[:, None]
     placed = linked @ camera.anchor[:3, :3].T + camera.anchor[:3, 3]
-    inside, by_pose = _shifted(placed, own[:6])
-    image, by_point, by_lens = project(inside, own[6:])
-    turn = by_point @ (exponential(own[3:6]) @ camera.anchor[:3, :3])
+    inside, by_pose = _shifted(placed, own)
+    image, by_point, by_lens = project(inside, lens)
+    turn = by_point @ (exponential(own[3:]) @ camera.anchor[:3, :3])
     by_angle = turn @ sight.chain.slopes(poses, linked)
     design = np.zeros((*image.shape, len(theta)))
-    design[..., rig.of_camera(sight.camera)] = np.concatenate([by_point @ by_pose, by_lens], axis=-1)
+    design[..., rig.of_camera(sight.camera)][..., :6] = by_point @ by_pose
+    design[..., rig.of_lens(sight.camera)] = by_lens
     design[..., rig.of_carrier(sight.carrier)] = (turn @ poses.rotation[:, None]) @ by_marker
     design[..., rig.of_joints] = by_angle
     if len(rig.scale_doubt):

@@ -104,7 +104,7 @@ def resection(points: Array, rays: Array) -> Array | None:
 
 def _aligned(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
     """Place camera and board by hand-eye calibration from the board's poses."""
-    poses, links = _posed(rig, data, k)
+    poses, links = board_poses(rig, data, k)
     if len(poses) < 3:
         return rig
     found = hand_eye(poses, links)
@@ -116,7 +116,7 @@ def _aligned(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
 
 def _beside(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
     """Place a further camera by a board that another camera has located."""
-    poses, links = _posed(rig, data, k)
+    poses, links = board_poses(rig, data, k)
     sight = rig.sights[k]
     if not poses:
         return rig
@@ -126,7 +126,7 @@ def _beside(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
     return _anchored(rig, sight.camera, transform(turn, np.median([one[:3, 3] for one in found], axis=0)))
 
 
-def _posed(rig: Rig, data: Sequence[Sighted], k: int) -> tuple[list[Array], list[Array]]:
+def board_poses(rig: Rig, data: Sequence[Sighted], k: int) -> tuple[list[Array], list[Array]]:
     """The board's pose (4,4) in the camera, and its link's in the camera's link, for each frame that determines it."""
     sight, one = rig.sights[k], data[k]
     camera, arm = rig.cameras[sight.camera], sight.chain.at(one.q)

@@ -90,3 +90,27 @@ def test_joints_and_poses_place_the_camera_alike(robot, tmp_path):
     assert np.linalg.norm(apart) < 2.0 * std
     warnings = [one for one in result.findings if one.severity != "info"]
     assert len(result.verdict) + len(warnings) <= 12 and json.dumps(calibration.table(by_poses))
+
+
+def test_board_moved_between_two_logs_is_found_and_the_zeros_stay_as_sure(robot, tmp_path):
+    settings = load_settings(DATA / "robot.toml")
+    settings = replace(settings, kinematics=replace(settings.kinematics, urdf=robot))
+    logs = [rows_of("poses.csv", np.arange(0, 12, 2), tmp_path)]
+    (tmp_path / "moved").mkdir()
+    moved = rows_of("poses.csv", np.arange(1, 12, 2), tmp_path / "moved")
+    head, *lines = moved.read_text().splitlines()
+    cells = [line.split(",") for line in lines]
+    # joint 1 turns the base before a resting board: the board moves about the base, and nothing else does
+    turned = [",".join([one[0], str(float(one[1]) + 0.1), *one[2:]]) for one in cells]
+    moved.write_text("\n".join([head, *turned]) + "\n")
+    result = pipeline.fit([*logs, moved], tmp_path / "two.npz", settings)
+    (text,) = (one.text for one in result.findings if " moved between " in one.text)
+    turn, std = (float(number) for number in text.partition(" mm and ")[2].partition("°")[0].split(" ± "))
+    assert abs(turn - np.degrees(0.1)) < 4.0 * std < 0.5
+    two = {one.joint: one for one in calibration.load(tmp_path / "two.npz").zeros}
+    one_log, again = learned(rows_of("poses.csv", np.arange(12), tmp_path), tmp_path, robot)
+    assert not any(" moved between " in one.text for one in again.findings)
+    one = {zero.joint: zero for zero in one_log.zeros}
+    for name in ("panda_joint2", "panda_joint5"):
+        assert two[name].std < 1.3 * one[name].std
+        assert abs(two[name].value - one[name].value) < 2.0 * one[name].std

@@ -20,7 +20,7 @@ def deviations(periodic: bool, draws: int = 40) -> np.ndarray:
     std = rig.prior[1]
     q = robots.angles(60)
     draw = np.random.default_rng(0)
-    view = View(q, np.zeros((1, 0)), np.arange(len(q)), np.ones((len(q), 1)))
+    view = View(q, np.zeros(len(q), int), np.zeros((1, 0)), np.arange(len(q)), np.ones((len(q), 1)))
     seen = rig.see(rig.sights[0], theta, q)
     noise = cholesky(np.zeros((len(q), len(q))), independent(np.full((len(q), 2), NOISE_PX**2)), 0.0)
     found = []
@@ -52,7 +52,7 @@ def test_joints_that_slide_or_have_given_zeros_have_none():
     q = robots.angles(5)
     seen = rig.see(rig.sights[0], rig.prior[0], q)
     rows = Rows(q, np.zeros((5, 2)), seen.design[:, 0] * rig.prior[1], independent(np.ones((5, 2))))
-    view = View(q, np.zeros((1, 0)), np.arange(5), np.ones((5, 1)))
+    view = View(q, np.zeros(5, int), np.zeros((1, 0)), np.arange(5), np.ones((5, 1)))
     assert with_periodic_errors(rig, rows, SimpleNamespace(view=view)).design.shape == rows.design.shape
     turning = with_periodic_errors(robots.rig(), rows, SimpleNamespace(view=view))
     assert turning.design.shape[2] == rows.design.shape[2] + 8

@@ -1,5 +1,6 @@
 """Residuals of a mean with linear unknowns z ~ N(0, I): r = B z + g(x) + noise, z marginalised (R&W 2.7)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -139,6 +140,29 @@ def solved(chol: Array, data: Rows) -> Solved:
     entropy = outputs * (2.0 * float(np.log(np.diag(chol)).sum()) + count * np.log(2.0 * np.pi))
     entropy += count * float(np.log(data.spread.share).sum()) * (len(data.spread.share) == outputs)
     return Solved(mean, root, alpha, lean, -0.5 * (fit + entropy + logdet))
+
+
+def shared_evidence(parts: Sequence[tuple[Array, Rows]]) -> float:
+    """The evidence (nats) of several things that share z, each with its factor (n,n) of kernel and noise."""
+    total = parts[0][1].design.shape[2]
+    fit = 0.0
+    entropy = 0.0
+    pull = np.zeros(total)
+    information = np.zeros((total, total))
+    for chol, data in parts:
+        count, outputs, unknowns = data.design.shape
+        own = np.sqrt(np.broadcast_to(data.spread.share, outputs))
+        residual, design = data.residual / own, data.design / own[:, None]
+        sides = np.concatenate([residual, design.reshape(count, -1)], axis=1)
+        back = np.asarray(_lapack().dpotrs(chol, np.asfortranarray(sides), lower=1)[0])
+        lean = back[:, outputs:].reshape(count, outputs, unknowns)
+        fit = fit + float((residual * back[:, :outputs]).sum())
+        pull = pull + np.einsum("nd,ndp->p", residual, lean)
+        information = information + np.einsum("ndp,ndq->pq", design, lean)
+        entropy = entropy + outputs * (2.0 * float(np.log(np.diag(chol)).sum()) + count * np.log(2.0 * np.pi))
+        entropy = entropy + 2.0 * count * float(np.log(own).sum())
+    mean, _, logdet = posterior(information, pull)
+    return float(-0.5 * (fit - pull @ mean + entropy + logdet))
 
 
 def posterior(information: Array, pull: Array) -> tuple[Array, Array, float]:

@@ -19,6 +19,9 @@ from ..learning import Learned
 from ..senses import encoder_function
 from .lengths import stretched
 from .model import KinematicGP
+from .move_findings import move_findings
+from .moves import Move, find_moves
+from .placements import EARLIER, earlier_placements
 from .residuals import RESIDUAL, Together, models, residual, together
 from .scores import findings, gain, scores, zeros
 from .sightings import Sightings, gathered
@@ -64,6 +67,10 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
     for _ in range(len(parts)):
         seen = {name: track(name, one) for name, one in parts.items()}
         links = find(robot, names, held, seen, given.hints, given.doubt, given.scale)
+        links, moves = find_moves(links, parts, found.joints, settings.fit.seed)
+        if any(unexplained(links, parts)) and len({log for one in parts.values() for log in one.whole.log}) > 1:
+            links = _linked_by_one_log(given, names, held, parts)
+            links, moves = find_moves(links, parts, found.joints, settings.fit.seed)
         whys = dict(unexplained(links, parts))
         foreign = {name: why for name, why in whys.items() if name in poor}
         if not foreign or len(foreign) == len(parts):
@@ -72,7 +79,27 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
         parts = {name: part for name, part in parts.items() if name not in foreign}
     if whys:
         return unused(found, next(iter(whys.values())))
-    return learned(_without(found, left_out), links, parts, tracks, settings.fit.seed)
+    return learned(_without(found, left_out), links, parts, tracks, settings.fit.seed, moves)
+
+
+def _linked_by_one_log(
+    given: Robotics, names: Sequence[str], held: Mapping[str, float], parts: Mapping[str, Sightings]
+) -> Found:
+    """Links as the log with most images shows them: what moved between logs is on no link, seen in all at once."""
+    numbers = np.concatenate([one.whole.log for one in parts.values()])
+    log = int(np.argmax(np.bincount(numbers)))
+    alone = {name: one.rows(np.flatnonzero(one.whole.log == log)) for name, one in parts.items()}
+    first = {name: track(name, one) for name, one in alone.items() if len(one.whole.x)}
+    found = find(given.robot, names, held, first, given.hints, given.doubt, given.scale)
+    rig = found.calibrated.rig
+    hints = dict(given.hints)
+    carried = dict[str, str]()
+    for one, sight in zip(first.values(), rig.sights, strict=True):
+        hint = hints.get(one.camera, CameraHint())
+        hints[one.camera] = hint if hint.link else replace(hint, link=rig.cameras[sight.camera].link)
+        carried[one.marker] = rig.carriers[sight.carrier].link
+    seen = {name: track(name, one) for name, one in parts.items()}
+    return find(given.robot, names, held, seen, hints, given.doubt, given.scale, carried)
 
 
 def _without(found: Learned, left_out: Mapping[str, str]) -> Learned:
@@ -118,9 +145,13 @@ def unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple[
 
 
 def learned(
-    found: Learned, links: Found, shown: Mapping[str, Sightings], plain: Mapping[str, GP], seed: int
-) -> Learned:
-    """Learn the residuals with calibrated links; return the body unchanged, with a remark, if they do not fit."""
+    found: Learned, links: Found, shown: Mapping[str, Sightings], plain: Mapping[str, GP], seed: int,
+    moves: Sequence[Move] = (),
+) -> Learned:  # fmt: skip
+    """Learn the residuals with calibrated links; return the body unchanged, with a remark, if they do not fit.
+
+    moves: of cameras and markers between logs. The body holds where they were in the last log.
+    """
     calibrated = links.calibrated
     rig, theta, weights = calibrated.rig, calibrated.theta, calibrated.weights
     each = enumerate(shown.items())
@@ -141,6 +172,12 @@ def learned(
     all_scores = [*(s for name, of in senses.items() for s in scores(name, of, both.parts[name])), *zeros(offsets)]
     found = _apart(found, {track for one in shown.values() if len(one.points) > 1 for track in one.tracks})
     found = _with(found, senses, both)
+    centres = [one.points.mean(axis=0) for one in shown.values()]
+    movements = [*move_findings(rig, both.theta, covariance, moves, centres)]
+    earlier = earlier_placements(rig, both.theta, covariance, offsets)
+    if earlier:
+        provenance = {**found.model.provenance, EARLIER: [one.plain for one in earlier]}
+        found = replace(found, model=replace(found.model, provenance=provenance))
     observed = {track: model for of in senses.values() for track, model in of.items()}
     reported = exploration_report.scores(found.joints, observed, found.model.noise)
     kept = {score.name: score for score in (*found.scores, *reported, *all_scores)}
@@ -149,7 +186,7 @@ def learned(
     return replace(
         found,
         scores=tuple(kept.values()),
-        findings=(*found.findings, *findings(links, offsets, gains)),
+        findings=(*found.findings, *movements, *findings(links, offsets, gains)),
         faint=tuple(exploration_report.faint_findings(found.joints, {**rest, **observed}, found.model.noise)),
     )
 

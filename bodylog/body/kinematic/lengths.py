@@ -56,7 +56,8 @@ def stretched(rig: Rig, index: int, theta: Array, learned: Part, prior: Prior) -
     long, spread = _doubt(rig, index)
     if spread is None:
         return None
-    stretch = learned.view.of(rig.see(rig.sights[index], theta, learned.view.q).stretch)[rows]
+    seen = rig.see(rig.sights[index], theta, learned.view.q, learned.view.log)
+    stretch = learned.view.of(seen.stretch)[rows]
     part, kernel = thinned(learned.rows, SEARCHED), learned.kernel
     extended = replace(part, design=np.concatenate([part.design, stretch[..., long] @ spread], axis=2))
     z = part.x / kernel.scales

@@ -1,7 +1,8 @@
 """Where a body learned with a URDF has its cameras and markers, their lenses, and the joints' zeros and scales."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,8 @@ WORST_TURN_RAD = float(np.radians(10.0))
 """Largest std of an orientation that is identifiable."""
 IMAGE_SIZES = "image_sizes"
 """In the provenance: {camera: [width, height]} px."""
+EARLIER = "earlier_placements"
+"""In the provenance: the placements before cameras and markers moved between logs, as Placement.plain."""
 _STEP = 1e-6
 _POSE = 6
 """Unknowns of a camera's pose; its lens follows."""
@@ -46,6 +49,24 @@ class Placement:
         placed = bool((self.place_std <= WORST_PLACE_M).all())
         return placed and (not self.turns or bool((self.turn_std <= WORST_TURN_RAD).all()))
 
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The placement as plain values; `placement_from` reads them."""
+        return {
+            "name": self.name,
+            "link": self.link,
+            "pose": self.pose.tolist(),
+            "place_std": self.place_std.tolist(),
+            "turn_std": self.turn_std.tolist(),
+            "turns": self.turns,
+        }
+
+
+def placement_from(plain: Mapping[str, Any]) -> Placement:
+    """A placement from its plain values."""
+    pose, place_std, turn_std = (np.array(plain[name], float) for name in ("pose", "place_std", "turn_std"))
+    return Placement(plain["name"], plain["link"], pose, place_std, turn_std, plain["turns"])
+
 
 @dataclass(frozen=True, eq=False)
 class Lens:
@@ -63,7 +84,8 @@ class Lens:
 class Calibration:
     """All unknowns of a body learned with a URDF; the findings say what is not identifiable.
 
-    image_sizes: (width, height) px by camera, where they are known.
+    image_sizes: (width, height) px by camera, where they are known · earlier: where cameras and markers were before
+    they moved between logs.
 
     Poses hold together with the zeros as given, those that are not identifiable at 0.
     """
@@ -75,6 +97,7 @@ class Calibration:
     scales: tuple[Offset, ...]
     findings: tuple[Finding, ...]
     image_sizes: Mapping[str, tuple[int, int]]
+    earlier: tuple[Placement, ...] = ()
 
 
 def calibration(model: BodyModel) -> Calibration:
@@ -108,7 +131,25 @@ def calibration(model: BodyModel) -> Calibration:
         scales,
         tuple(findings),
         {name: (int(size[0]), int(size[1])) for name, size in model.provenance.get(IMAGE_SIZES, {}).items()},
+        tuple(placement_from(plain) for plain in model.provenance.get(EARLIER, ())),
     )
+
+
+def earlier_placements(rig: Rig, theta: Array, covariance: Array, known: Sequence[Offset]) -> list[Placement]:
+    """Where cameras and markers were before they moved between logs; known: zeros and scales, as for `_given_zeros`."""
+    found = dict[tuple[bool, int], Placement]()
+    for k, sight in enumerate(rig.sights):
+        for log, pair in enumerate(sight.by_log):
+            for camera, index, now in ((True, pair[0], sight.camera), (False, pair[1], sight.carrier)):
+                if index == now or (camera, index) in found:
+                    continue
+                sub, used = rig.alone(k, log)
+                given, spread = _given_zeros(sub, theta[used], covariance[np.ix_(used, used)], known)
+                placed = _camera(sub, given, spread) if camera else _marker(sub, given, spread)
+                logs = [number + 1 for number, other in enumerate(sight.by_log) if other[not camera] == index]
+                when = f"log {logs[0]}" if len(logs) == 1 else f"logs {logs[0]} to {logs[-1]}"
+                found[camera, index] = replace(placed, name=f"{placed.name} in {when}")
+    return list(found.values())
 
 
 def _without_zeros(joints: tuple[str, ...]) -> Finding:

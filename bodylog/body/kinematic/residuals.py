@@ -69,14 +69,22 @@ def residual(
 ) -> Part:
     """Kernel of the residuals of kinematics near theta; sightings with small weight (N,C), or too many, left out."""
     counts = sound(weight)
-    seen = rig.see(rig.sights[index], theta, shown.whole.x)
+    seen = rig.see(rig.sights[index], theta, shown.whole.x, shown.whole.log)
     view, kept, own = viewed(shown, counts, shown.image - seen.image, groups(shown.points), MOST)
     known = coupled(kept, chosen)
     rows = about(rig, theta, kept, seen, view, spread_of(kept, view.of(seen.slope), known))
     kernel, rows, drift = lasting(kept.t, search(rows, RESIDUAL, seed), rows)
-    points = {shown.tracks[k]: k for k in singles(shown) if counts[:, k].any()}
-    tracks = {track: alone(shown, k, counts) for track, k in points.items()}
+    current = counts & in_last_placement(rig, index, shown.whole.log)[:, None]
+    points = {shown.tracks[k]: k for k in singles(shown) if current[:, k].any()}
+    tracks = {track: alone(shown, k, current) for track, k in points.items()}
     return Part(kept, known, kernel, drift, rows, view, own, tracks, points)
+
+
+def in_last_placement(rig: Rig, index: int, log: Array) -> Array:
+    """Which images (N,), of these logs (N,), show a thing where it was in the last log, which the body holds."""
+    sight = rig.sights[index]
+    placed = [sight.in_log(int(number)) for number in log]
+    return np.array([(one.camera, one.carrier) == (sight.camera, sight.carrier) for one in placed], bool)
 
 
 def about(rig: Rig, theta: Array, part: Pairs, seen: Seen, view: View, spread: Spread) -> Rows:
@@ -144,7 +152,7 @@ def _centres(part: Part) -> Array:
 
 def _about(rig: Rig, index: int, theta: Array, part: Part) -> Rows:
     """The rows of a thing about another θ, with the same noise."""
-    seen = rig.see(rig.sights[index], theta, part.view.q)
+    seen = rig.see(rig.sights[index], theta, part.view.q, part.view.log)
     return about(rig, theta, part.pairs, seen, part.view, part.rows.spread)
 
 

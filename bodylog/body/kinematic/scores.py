@@ -31,7 +31,7 @@ def gain(
         return solved(part.chol, part.rows).evidence - _alone(plain[name], part.pairs, part.known)
     points = [point for track, point in part.points.items() if track in plain]
     view, kept, _ = viewed(shown, shown.seen, shown.image, np.eye(len(shown.points), dtype=bool)[points], MOST)
-    seen = rig.see(rig.sights[index], found.theta, shown.whole.x)
+    seen = rig.see(rig.sights[index], found.theta, shown.whole.x, shown.whole.log)
     spread = spread_of(kept, view.of(seen.slope), coupled(kept, chosen))
     rows = about(rig, found.theta, kept, seen, view, spread)
     own = max(part.own - float(np.nanmean(shown.floor)), 0.0)

@@ -54,10 +54,12 @@ class Sightings:
 class View:
     """Rows that are means of some points of one image: picture (n,) of N · share (n,C) of each point.
 
-    q (N,M) rad or m · where (C,2): the points on their board, in REACH of its diagonal; (C,0) of a single point.
+    q (N,M) rad or m · log (N,) of each image · where (C,2): the points on their board, in REACH of its diagonal; (C,0)
+    of a single point.
     """
 
     q: Array
+    log: Array
     where: Array
     picture: Array
     share: Array
@@ -163,7 +165,7 @@ def viewed(shown: Sightings, sound: Array, residual: Array, parts: Array, most: 
     at, part = np.nonzero(member.any(axis=-1))
     picture, own = kept[at], member[at, part]
     count = own.sum(axis=1)
-    view = View(shown.whole.x, _where(shown.points), picture, own / count[:, None])
+    view = View(shown.whole.x, shown.whole.log, _where(shown.points), picture, own / count[:, None])
     image, floor, left = (np.nan_to_num(values) for values in (shown.image, shown.floor, residual))
     within = np.square(np.where(own[..., None], left[picture] - view.of(left)[:, None], 0.0)).sum()
     alone = float(within / max(2 * (own.sum() - len(own)), 1))
