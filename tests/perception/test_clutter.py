@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bodylog.perception import observe
-from bodylog.perception.colours import colour_tracker, outline
+from bodylog.perception.colours import blob_measurement, clutter, colour_tracker, outline
 from bodylog.perception.tracking import joint_motion
 from bodylog.recording import recording
 from bodylog.settings import Settings, Topics
@@ -120,3 +121,43 @@ def test_wheels_do_not_hide_that_a_thing_moves_with_the_arm():
     names = ("a", "b", "c", "left", "right")
     joints = Series(t, np.column_stack([arm, wheels]), names, "rad", (t * 1e9).astype(np.int64))
     assert joint_motion.explained_share(joint_motion.angles(joints, t), y, 640) > 0.8
+
+
+def _candidates(count: int) -> tuple[Array, Array, Series]:
+    """Times (N,) s, candidates (N,2,FIELDS): one that wanders and the arm's; and the joints."""
+    rng = np.random.default_rng(5)
+    t = np.arange(count) / 10.0
+    angles = _joints(rng, t)
+    column = 160 + 80 * np.sin(0.9 * angles[:, 0])
+    arm = np.column_stack([column, 120 + 60 * np.sin(angles.sum(axis=1))])
+    other = [160, 120] + [90, 70] * np.sin([0.7, 0.4] * t[:, None] + [1.0, 2.0])
+    found = np.zeros((count, 2, blob_measurement.FIELDS))
+    found[:, :, [blob_measurement.MASS, blob_measurement.STRENGTH]] = np.pi * RADIUS**2
+    found[:, 0, :2] = other
+    found[:, 1, :2] = arm + rng.normal(0, 0.1, arm.shape)
+    return t, found, Series(t, angles, ("a", "b"), "rad", (t * 1e9).astype(np.int64))
+
+
+@pytest.mark.parametrize("seen", [slice(0, 1200), slice(100, 170)])
+def test_long_log_is_followed_from_one_start(seen: slice, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the parts on which starts are compared show the arm; else all is compared."""
+    monkeypatch.setattr(clutter, "_COMPARED", 300)
+    monkeypatch.setattr(clutter, "_STRETCH", 60)
+    t, found, joints = _candidates(1200)
+    unseen = np.ones(len(t), bool)
+    unseen[seen] = False
+    found[unseen] = np.nan
+    followed: list[int] = []
+    follow = clutter._follow
+
+    def noted(t: Array, *rest: Any) -> clutter.Choice:
+        followed.append(len(t))
+        return follow(t, *rest)
+
+    monkeypatch.setattr(clutter, "_follow", noted)
+    choice = clutter.choose(t, found, joints, 320.0)
+    assert choice is not None
+    assert (choice.number[seen] == 1).mean() > 0.95
+    assert (choice.number[unseen] == -1).all()
+    if not unseen.any():
+        assert followed.count(len(t)) == 1 and max(followed[:-1]) <= 300

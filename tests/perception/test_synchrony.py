@@ -11,6 +11,7 @@ from bodylog.perception import observe
 from bodylog.perception.touch.matching import match_touches
 from bodylog.settings import Settings
 from bodylog.types import Stroke, Touch
+from tests.work import at_most
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "logs"
 
@@ -52,6 +53,46 @@ def test_match_keeps_order_and_unpaired_touches() -> None:
     assert [pair.stroke for pair in found] == [0, 1, None, 2, 3, 4]
     assert np.isnan(found[2].delay) and found[2].weight == 0.0
     assert match_touches([], strokes)[0] == () and match_touches(touches, [])[0][0].stroke is None
+
+
+def test_match_looks_only_at_strokes_near_a_touch() -> None:
+    touches = _touches(3, 400)
+    strokes = _strokes(touches, [0.05] * 400)
+    with at_most(calls=100 * len(touches)):
+        found, _ = match_touches(touches, strokes)
+    assert [pair.stroke for pair in found] == list(range(400))
+
+
+def test_match_costs_the_least_of_all_orders() -> None:
+    """Beside a table of all touches and all strokes."""
+    rng = np.random.default_rng(4)
+    for _ in range(30):
+        touches = _touches(int(rng.integers(100)), int(rng.integers(1, 12)))
+        strokes = _strokes(touches, rng.normal(0.0, 0.8, len(touches)).tolist())
+        kept = sorted(strokes, key=lambda stroke: stroke.start)[:: int(rng.integers(1, 3))]
+        found, _ = match_touches(touches, kept)
+        cost = _cost(touches, kept, [pair.stroke for pair in found])
+        assert cost == pytest.approx(_least(touches, kept))
+
+
+def _apart(touch: Touch, stroke: Stroke) -> float:
+    return 0.5 * (abs(stroke.start - touch.onset) + abs(stroke.end - touch.offset))
+
+
+def _cost(touches: list[Touch], strokes: list[Stroke], partners: list[int | None]) -> float:
+    pairs = [(i, j) for i, j in enumerate(partners) if j is not None]
+    alone = len(touches) + len(strokes) - 2 * len(pairs)
+    return 0.75 * alone + sum(_apart(touches[i], strokes[j]) for i, j in pairs)
+
+
+def _least(touches: Sequence[Touch], strokes: Sequence[Stroke]) -> float:
+    """The least cost by dynamic programming over all of them."""
+    row = [0.75 * count for count in range(len(strokes) + 1)]
+    for touch in touches:
+        before, row = row, [row[0] + 0.75]
+        for j, stroke in enumerate(strokes):
+            row.append(min(before[j] + _apart(touch, stroke), before[j + 1] + 0.75, row[j] + 0.75))
+    return row[-1]
 
 
 def test_match_corrects_a_constant_latency_only_if_configured() -> None:

@@ -30,6 +30,9 @@ _SEEDS = 4
 _NEAR = 1.0
 _FAR = 0.08
 _RARELY = 0.05
+_COMPARED, _STRETCH = 3000, 300
+"""Images of a long log on which starts are compared, and how many of them follow one another."""
+_AT_ONCE = 1024
 EXPLAINED = 0.25
 """Least share of held-out motion that the joints explain of a thing on the arm."""
 
@@ -71,16 +74,39 @@ def choose(t: Array, found: Array, joints: Series | None, width: float) -> Choic
         return None
     still = _still(rows, q, width)
     best = _nothing(q)
-    for start in _starts(t, found, rows.only(still < 0), q, width):
-        if len(start.frame) < _FEWEST or (best.beyond_chance and _within(start, best.place, width) > _SAME):
-            continue
-        best = max(best, _follow(t, rows, still, start, q, width), key=_worth)
+    if len(t) > _COMPARED:
+        start = _start_of_part(t, found, q, width)
+        best = _follow(t, rows, still, start, q, width) if len(start.frame) >= _FEWEST else best
+    if best.beyond_chance < EXPLAINED:
+        best = _best(t, found, still, q, width)
     if best.beyond_chance < EXPLAINED:
         return None
     late = _late(t, rows, best, joints, width)
     if late:
         again = _follow(t, rows, still, _chosen(rows, best.number), joint_motion.angles(joints, t, late), width)
         best = max(best, again._replace(delay=late), key=_worth)
+    return best
+
+
+def _start_of_part(t: Array, found: Array, q: Array, width: float) -> _Rows:
+    """The rows that the best start ends with on stretches of a long log."""
+    stretches = np.linspace(0, len(t) - _STRETCH, _COMPARED // _STRETCH).astype(int)
+    part = np.unique(stretches[:, None] + np.arange(_STRETCH))
+    rows = _rows(found[part])
+    best = _best(t[part], found[part], _still(rows, q[part], width), q[part], width)
+    start = _chosen(rows, best.number)
+    return start._replace(frame=part[start.frame])
+
+
+def _best(t: Array, found: Array, still: Array, q: Array, width: float) -> Choice:
+    """The choice that explains most, of all starts; `still` (R,) numbers places of still things."""
+    rows = _rows(found)
+    best = _nothing(q)
+    for start in _starts(t, found, rows.only(still < 0), q, width):
+        known = best.beyond_chance and _within(start, best.place, width) > _SAME
+        if known or len(start.frame) < _FEWEST:
+            continue
+        best = max(best, _follow(t, rows, still, start, q, width), key=_worth)
     return best
 
 
@@ -105,11 +131,12 @@ def _still(rows: _Rows, q: Array, width: float) -> Array:
     cell, most = max(3.0, _SAME_PLACE * width), max(5.0, _OFTEN * len(q))
     moved = np.sqrt(q.var(axis=0).sum())
     while left.any():
-        cells = np.floor(rows.place[left] / cell)
-        _, inverse, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+        column, line = np.floor(rows.place[left] / cell).astype(int).T
+        cells = column * (np.ptp(line) + 1) + line - line.min()
+        _, inverse, counts = np.unique(cells, return_inverse=True, return_counts=True)
         if counts.max() < most / 4:
             break
-        middle = np.median(rows.place[left][inverse.ravel() == counts.argmax()], axis=0)
+        middle = np.median(rows.place[left][inverse == counts.argmax()], axis=0)
         away = np.hypot(*(rows.place - middle).T)
         there = left & (away < cell)
         frames = np.unique(rows.frame[there])
@@ -220,8 +247,12 @@ def _left(t: Array, frame: Array, rest: Array) -> Array:
     """The median residual (n,2) px within _NEAR s of each image: (N,2); 0 where there are few."""
     low, high = np.searchsorted(t[frame], t - _NEAR), np.searchsorted(t[frame], t + _NEAR, side="right")
     left = np.zeros((len(t), 2))
-    for image in np.flatnonzero(high - low >= 5).tolist():
-        left[image] = np.median(rest[low[image] : high[image]], axis=0)
+    count = high - low
+    for number in np.unique(count[count >= 5]).tolist():
+        images = np.flatnonzero(count == number)
+        for start in range(0, len(images), _AT_ONCE):
+            some = images[start : start + _AT_ONCE]
+            left[some] = np.median(rest[low[some, None] + np.arange(number)], axis=1)
     return left
 
 

@@ -1,6 +1,7 @@
 """Match touches with strokes: one-to-one pairs, their delays, and the weight of each as one event."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,8 @@ B2 = float(np.log(2.0) / 0.12**2)
 """b2 (1/s²) of f_t = exp(−b2 δ²), which halves at 0.12 s: vision captures touch up to a delay of about 0.1 s."""
 
 _FARTHEST = 1.5
+_ALONE = _FARTHEST / 2
+_PAIRED, _TOUCH_ALONE, _STROKE_ALONE = range(3)
 _STEADY = 0.05
 _NOTABLE = 0.05
 _ENOUGH = 3
@@ -23,7 +26,7 @@ def match_touches(touches: Sequence[Touch], strokes: Sequence[Stroke], clock_off
 
     `clock_offset` "auto" subtracts the log's own median delay where its spread is small; ConfigError for other texts.
     """
-    partners = _pairs(_costs(touches, strokes, 0.0 if clock_offset == "auto" else _seconds(clock_offset)))
+    partners = _pairs(touches, strokes, 0.0 if clock_offset == "auto" else _seconds(clock_offset))
     paired = [(i, j) for i, j in enumerate(partners) if j is not None]
     delays = np.array([_delay(touches[i], strokes[j]) for i, j in paired])
     offset, findings = _offset(delays, clock_offset)
@@ -47,36 +50,62 @@ def _delay(touch: Touch, stroke: Stroke) -> float:
     return 0.5 * ((stroke.start - touch.onset) + (stroke.end - touch.offset))
 
 
-def _costs(touches: Sequence[Touch], strokes: Sequence[Stroke], offset: float) -> Array:
-    """The cost (T,S), s, of each touch with each stroke: the mean distance of beginnings and of ends."""
-    felt = np.array([(touch.onset, touch.offset) for touch in touches]).reshape(-1, 1, 2)
-    seen = np.array([(stroke.start, stroke.end) for stroke in strokes]).reshape(1, -1, 2)
-    return np.asarray(np.abs(seen - felt - offset).mean(axis=2))
+def _pairs(touches: Sequence[Touch], strokes: Sequence[Stroke], offset: float) -> list[int | None]:
+    """Each touch's stroke or None: in order, each stroke at most once, the total cost least.
 
-
-def _pairs(costs: Array) -> list[int | None]:
-    """Each touch's stroke or None: pairs keep their order, each stroke serves once, the total cost is least.
-
-    Leaving a touch and a stroke unpaired costs as much as a pair _FARTHEST s apart.
+    Leaving a touch and a stroke unpaired costs as much as a pair _FARTHEST s apart: only strokes
+    that begin within twice that of a touch can be its partner, so each touch looks at no others.
     """
-    rows, columns = costs.shape
-    total = np.zeros((rows + 1, columns + 1))
-    alone = _FARTHEST / 2
-    total[:, 0] = alone * np.arange(rows + 1)
-    total[0, :] = alone * np.arange(columns + 1)
-    for i in range(rows):
-        for j in range(columns):
-            total[i + 1, j + 1] = min(total[i, j] + costs[i, j], total[i, j + 1] + alone, total[i + 1, j] + alone)
-    partners: list[int | None] = [None] * rows
-    i, j = rows, columns
-    while i and j:
-        if total[i, j] == total[i - 1, j - 1] + costs[i - 1, j - 1]:
-            i, j = i - 1, j - 1
-            partners[i] = j
-        elif total[i, j] == total[i - 1, j] + alone:
-            i -= 1
-        else:
-            j -= 1
+    felt = np.array([(touch.onset, touch.offset) for touch in touches]).reshape(-1, 2)
+    seen = np.array([(stroke.start, stroke.end) for stroke in strokes]).reshape(-1, 2)
+    low = np.searchsorted(seen[:, 0], felt[:, 0] + offset - 2 * _FARTHEST)
+    high = np.searchsorted(seen[:, 0], felt[:, 0] + offset + 2 * _FARTHEST, side="right")
+    rows = [_Row(0, [0.0], [_TOUCH_ALONE])]
+    for touch, first, end in zip(felt, low.tolist(), high.tolist(), strict=True):
+        costs = np.abs(seen[first:end] - touch - offset).mean(axis=1)
+        rows.append(_next_row(rows[-1], first, costs.tolist()))
+    return _partners(rows, len(strokes))
+
+
+class _Row(NamedTuple):
+    """Least costs (s) of the touches up to one with the strokes before first, first + 1, …
+
+    `step` is the last one to each of them. Beyond the last each further stroke stays unpaired.
+    """
+
+    first: int
+    total: list[float]
+    step: list[int]
+
+    def at(self, stroke: int) -> float:
+        """The least cost with the strokes before that one."""
+        last = len(self.total) - 1
+        beyond = max(0, stroke - self.first - last)
+        return self.total[min(stroke - self.first, last)] + beyond * _ALONE
+
+
+def _next_row(before: _Row, first: int, costs: list[float]) -> _Row:
+    """The row of one more touch, whose costs with the strokes first, first + 1, … are given."""
+    total, step = [before.at(first) + _ALONE], [_TOUCH_ALONE]
+    for stroke, cost in enumerate(costs, first):
+        ends = (before.at(stroke) + cost, before.at(stroke + 1) + _ALONE, total[-1] + _ALONE)
+        total.append(min(ends))
+        step.append(ends.index(total[-1]))
+    return _Row(first, total, step)
+
+
+def _partners(rows: list[_Row], strokes: int) -> list[int | None]:
+    """Each touch's stroke or None, read backwards from the last touch with all strokes."""
+    partners: list[int | None] = [None] * (len(rows) - 1)
+    touch, stroke = len(rows) - 1, strokes
+    while touch:
+        row = rows[touch]
+        stroke = min(stroke, row.first + len(row.total) - 1)
+        step = row.step[stroke - row.first]
+        if step == _PAIRED:
+            partners[touch - 1] = stroke - 1
+        touch -= step != _STROKE_ALONE
+        stroke -= step != _TOUCH_ALONE
     return partners
 
 

@@ -16,6 +16,8 @@ _MOVES, _FAR = 0.01, 0.1
 _BLOCKS = 8
 _MOST = 400
 _FEWEST = 20
+_AT_ONCE = 4096
+"""Angles predicted at once: a whole log's kernel with the samples would fill the memory."""
 _DELAYS = np.arange(-0.3, 0.3001, 0.05)
 
 
@@ -43,9 +45,14 @@ class Regression:
 
     def predict(self, q: Array) -> tuple[Array, Array]:
         """Mean (N,D) at angles q (N,M) and its standard deviation (N,), the noise excluded."""
-        across = _kernel(q, self.q)
-        known = np.linalg.solve(self.factor, across.T)
-        return self.mean + across @ self.weights, self.amplitude * np.sqrt(np.maximum(1 - (known**2).sum(axis=0), 0))
+        mean, std = np.empty((len(q), len(self.mean))), np.empty(len(q))
+        for start in range(0, len(q), _AT_ONCE):
+            some = slice(start, start + _AT_ONCE)
+            across = _kernel(q[some], self.q)
+            known = np.linalg.solve(self.factor, across.T)
+            mean[some] = self.mean + across @ self.weights
+            std[some] = self.amplitude * np.sqrt(np.maximum(1 - (known**2).sum(axis=0), 0))
+        return mean, std
 
 
 def angles(joints: Series | None, t: Array, delay: float = 0.0) -> Array:

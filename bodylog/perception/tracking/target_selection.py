@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import hypot
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,6 +46,20 @@ class _Run:
     def table(self) -> Array:
         return np.array(self.rows)
 
+    @cached_property
+    def index(self) -> Array:
+        return np.array(self.frames)
+
+    @cached_property
+    def strength(self) -> float:
+        return float(np.median(self.table[:, STRENGTH]))
+
+    @cached_property
+    def extent(self) -> float:
+        """The extent (px): the larger of the central 80 % ranges in u and v."""
+        low, high = np.quantile(self.table[:, [U, V]], (0.1, 0.9), axis=0)
+        return float((high - low).max())
+
 
 def select_target(t: Array, found: Array, width: float) -> tuple[Array, Array]:
     """u, v, std_u, std_v (N,4) px of the target among found (N,candidates,FIELDS), NaN where unsure; why (N,) str."""
@@ -59,10 +74,9 @@ def select_target(t: Array, found: Array, width: float) -> tuple[Array, Array]:
     for run in runs:
         rows = run.table
         clear = (rows[:, BORDER] == 0) & (why[run.frames] != RIVAL)
-        index = np.array(run.frames)
-        why[index[rows[:, BORDER] == 1]] = EDGE
-        track[index[clear]] = rows[clear][:, [U, V, STD_U, STD_V]]
-        mass[index[clear]] = rows[clear][:, MASS]
+        why[run.index[rows[:, BORDER] == 1]] = EDGE
+        track[run.index[clear]] = rows[clear][:, [U, V, STD_U, STD_V]]
+        mass[run.index[clear]] = rows[clear][:, MASS]
     track[:, 2:] = steady(t, track[:, 2:])
     _drop_partly_hidden(t, track, mass, why)
     return track, why
@@ -70,7 +84,7 @@ def select_target(t: Array, found: Array, width: float) -> tuple[Array, Array]:
 
 def linked(t: Array, found: Array, width: float) -> list[tuple[Array, Array]]:
     """Blobs found (N,candidates,FIELDS) joined through time: of each run its frames (n,) and rows (n,FIELDS)."""
-    return [(np.array(run.frames), run.table) for run in _link(t, found, _REACH * width)]
+    return [(run.index, run.table) for run in _link(t, found, _REACH * width)]
 
 
 def _link(t: Array, found: Array, reach: float) -> list[_Run]:
@@ -130,7 +144,7 @@ def _undominated(runs: list[_Run], why: Array) -> list[_Run]:
         for second in range(first + 1, len(runs)):
             if runs[second].frames[0] > runs[first].frames[-1]:
                 break
-            shared = np.intersect1d(runs[first].frames, runs[second].frames)
+            shared = _shared(runs[first].index, runs[second].index)
             if not shared.size:
                 continue
             winner = _winner(runs[first], runs[second])
@@ -141,29 +155,30 @@ def _undominated(runs: list[_Run], why: Array) -> list[_Run]:
     return [run for index, run in enumerate(runs) if index not in beaten]
 
 
+def _shared(first: Array, second: Array) -> Array:
+    """The frames of two runs' frames in order that both have: the shorter's, looked up."""
+    short, long = sorted((first, second), key=len)
+    at = np.minimum(np.searchsorted(long, short), len(long) - 1)
+    return np.asarray(short[long[at] == short])
+
+
 def _winner(first: _Run, second: _Run) -> int | None:
     """0 or 1 for the stronger run, or else for the moving one beside a still one; None when neither is clear."""
-    ratio = np.median(first.table[:, STRENGTH]) / np.median(second.table[:, STRENGTH])
+    ratio = first.strength / second.strength
     if ratio >= _LARGER or ratio <= 1 / _LARGER:
         return 0 if ratio > 1 else 1
-    extents = [_extent(first), _extent(second)]
+    extents = [first.extent, second.extent]
     if min(extents) < _STILL and max(extents) > _MOVING:
         return int(np.argmax(extents))
     return None
 
 
-def _extent(run: _Run) -> float:
-    """A run's extent (px): the larger of its central 80 % ranges in u and v."""
-    low, high = np.quantile(run.table[:, [U, V]], (0.1, 0.9), axis=0)
-    return float((high - low).max())
-
-
 def _of_right_size(runs: list[_Run], why: Array) -> list[_Run]:
     """Runs not much weaker than the longest one."""
-    usual = np.median(max(runs, key=lambda run: len(run.frames)).table[:, STRENGTH])
+    usual = max(runs, key=lambda run: len(run.frames)).strength
     kept = []
     for run in runs:
-        if np.median(run.table[:, STRENGTH]) >= _SMALL * usual or run.table[:, BORDER].any():
+        if run.strength >= _SMALL * usual or run.table[:, BORDER].any():
             kept.append(run)
         else:
             why[run.frames] = SIZE
@@ -173,22 +188,40 @@ def _of_right_size(runs: list[_Run], why: Array) -> list[_Run]:
 def _reachable(t: Array, runs: list[_Run], reach: float, why: Array) -> list[_Run]:
     """Drop still runs of a moving log that the target cannot reach at its speed."""
     speed = 2.0 * max(_fastest(t, run) for run in runs)
-    moving = max(_extent(run) for run in runs) > _MOVING
-    kept: list[_Run] = []
-    for run in sorted(runs, key=lambda run: -len(run.frames)):
-        still = moving and len(run.frames) >= _EVIDENCE and _extent(run) < _STILL
-        if not still or all(_within(t, run, other, reach, speed) for other in kept):
-            kept.append(run)
-        else:
+    moving = max(run.extent for run in runs) > _MOVING
+    ordered = sorted(runs, key=lambda run: -len(run.frames))
+    ends = _ends(t, ordered)
+    kept = np.zeros(len(ordered), bool)
+    for number, run in enumerate(ordered):
+        still = moving and len(run.frames) >= _EVIDENCE and run.extent < _STILL
+        kept[number] = not still or bool(_within(ends, number, reach, speed)[kept].all())
+        if not kept[number]:
             why[run.frames] = JUMP
-    return kept
+    return [run for run, stays in zip(ordered, kept.tolist(), strict=True) if stays]
 
 
-def _within(t: Array, run: _Run, other: _Run, reach: float, speed: float) -> bool:
-    early, late = (run, other) if run.frames[0] < other.frames[0] else (other, run)
-    gap = float(t[late.frames[0]] - t[early.frames[-1]])
-    step = late.table[0] - early.table[-1]
-    return gap < 0 or hypot(step[U], step[V]) <= reach + speed * gap
+class _Ends(NamedTuple):
+    """Of each run the first and last time (R,) s, and the places (R,2) px there."""
+
+    start: Array
+    end: Array
+    first: Array
+    last: Array
+
+
+def _ends(t: Array, runs: list[_Run]) -> _Ends:
+    start, end = t[[run.frames[0] for run in runs]], t[[run.frames[-1] for run in runs]]
+    first, last = [run.table[0, [U, V]] for run in runs], [run.table[-1, [U, V]] for run in runs]
+    return _Ends(start, end, np.array(first), np.array(last))
+
+
+def _within(ends: _Ends, number: int, reach: float, speed: float) -> Array:
+    """Whether the target gets from one run to each other (R,), or back, at that speed (px/s)."""
+    sooner = ends.start[number] < ends.start
+    gap = np.where(sooner, ends.start - ends.end[number], ends.start[number] - ends.end)
+    there, back = ends.first - ends.last[number], ends.first[number] - ends.last
+    step = np.where(sooner[:, None], there, back)
+    return np.asarray((gap < 0) | (np.hypot(*step.T) <= reach + speed * gap))
 
 
 def _fastest(t: Array, run: _Run) -> float:
