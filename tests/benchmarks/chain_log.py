@@ -1,6 +1,6 @@
 """The logs the whole chain is timed on: a minute of arm before a camera, ten minutes of what was seen of one."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from heapq import merge
 from pathlib import Path
@@ -32,6 +32,8 @@ _STILL = ("wrist_1", "wrist_2", "wrist_3")
 Row = tuple[int, str, bytes]
 """Log time (ns), topic, payload."""
 
+Streams = Iterable[Iterator[Row]]
+
 
 @dataclass(frozen=True)
 class Wide(Arm):
@@ -52,7 +54,6 @@ def learn(path: Path) -> BodyModel:
 
 def record(path: Path, kind: str, seconds: float) -> None:
     """Write a log as a recorder would, with a camera that publishes JPEGs, or raw pictures (in chunks by zstd)."""
-    compression = CompressionType.NONE if kind == "raw" else CompressionType.ZSTD
     world = draw(2, seconds, _ENCODER_HZ, _CAMERA_HZ, 0.01, 0.0, Wide())
     streams = (_joints(world), _skin(seconds), _poses(world), _pictures(world, kind == "jpeg"))
     types = {
@@ -61,8 +62,13 @@ def record(path: Path, kind: str, seconds: float) -> None:
         "/truth/pose": "geometry_msgs/msg/PoseStamped",
         "/camera": "sensor_msgs/msg/CompressedImage" if kind == "jpeg" else "sensor_msgs/msg/Image",
     }
+    write(path, types, streams, CompressionType.NONE if kind == "raw" else CompressionType.ZSTD)
+
+
+def write(path: Path, types: dict[str, str], streams: Streams, packed: CompressionType) -> None:
+    """Write messages of streams, each in order of time; `types` has the type of each topic."""
     with path.open("wb") as stream:
-        writer = McapWriter(stream, compression=compression)
+        writer = McapWriter(stream, compression=packed)
         writer.start("ros2", "benchmark")
         schemas = {
             topic: writer.register_schema(name, "ros2msg", known_definition(name) or b"")
@@ -103,7 +109,7 @@ def _joints(world: World) -> Iterator[Row]:
     ns = messages.stamps(found.t, START_NS)
     joints = Series(found.t, values, (*found.names, *_STILL), "rad", ns)
     made = messages.from_joints("/joint_states", joints, START_NS, np.gradient(values, found.t, axis=0))
-    return _rows(made.topic, made.log_ns, made)
+    return rows(made.topic, made.log_ns, made)
 
 
 def _skin(seconds: float) -> Iterator[Row]:
@@ -111,7 +117,7 @@ def _skin(seconds: float) -> Iterator[Row]:
     t = np.arange(0.001, seconds, 1 / _SKIN_HZ)
     values = np.abs(np.random.default_rng(4).normal(0.0, 0.02, (len(t), CELLS)))
     fields: list[CdrField] = [("uint32", 0), ("uint32", 0), ("float32[]", values)]
-    return _rows("/skin", messages.stamps(t, START_NS), cdr.serialise(len(t), fields))
+    return rows("/skin", messages.stamps(t, START_NS), cdr.serialise(len(t), fields))
 
 
 def _poses(world: World) -> Iterator[Row]:
@@ -120,7 +126,7 @@ def _poses(world: World) -> Iterator[Row]:
     ns = messages.stamps(t, START_NS)
     place = np.column_stack([np.sin(t), np.cos(t), 0 * t, 0 * t, 0 * t, 0 * t, 1 + 0 * t])
     fields: list[CdrField] = [*cdr.header(ns, "base_link"), ("float64*", place)]
-    return _rows("/truth/pose", ns, cdr.serialise(len(t), fields))
+    return rows("/truth/pose", ns, cdr.serialise(len(t), fields))
 
 
 def _pictures(world: World, compress: bool) -> Iterator[Row]:
@@ -132,7 +138,7 @@ def _pictures(world: World, compress: bool) -> Iterator[Row]:
         hand = (540.0 + 60.0 * np.cos(0.7 * t), 240.0 + 120.0 * np.sin(1.1 * t))
         discs = [scenes.Disc(place[0], place[1], 14.0), scenes.Disc(*hand, 18.0, scenes.RED)]
         picture, ns = scenes.draw(wall, discs, rng), int(messages.stamps(np.array(t), START_NS))
-        yield ns, "/camera", _compressed(ns, scenes.jpeg(picture)) if compress else _raw(ns, picture)
+        yield ns, "/camera", compressed(ns, scenes.jpeg(picture)) if compress else _raw(ns, picture)
 
 
 def _raw(ns: int, picture: Array) -> bytes:
@@ -148,13 +154,15 @@ def _raw(ns: int, picture: Array) -> bytes:
     return cdr.serialise(1, fields).data.tobytes()
 
 
-def _compressed(ns: int, jpeg: Array) -> bytes:
+def compressed(ns: int, jpeg: Array) -> bytes:
+    """A CompressedImage of the bytes of a JPEG."""
     header = cdr.header(np.array([ns]), "camera")
     fields: list[CdrField] = [*header, ("string", "jpeg"), ("uint8[]", jpeg.reshape(1, -1))]
     return cdr.serialise(1, fields).data.tobytes()
 
 
-def _rows(topic: str, ns: Array, payloads: cdr.Payloads | Outgoing) -> Iterator[Row]:
+def rows(topic: str, ns: Array, payloads: cdr.Payloads | Outgoing) -> Iterator[Row]:
+    """The messages of one topic, logged at ns (n,)."""
     whole = payloads.data.tobytes()
     for log_ns, offset, length in zip(ns.tolist(), payloads.offset.tolist(), payloads.length.tolist(), strict=True):
         yield log_ns, topic, whole[offset : offset + length]
