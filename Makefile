@@ -38,7 +38,9 @@ test: $(VENV)/installed
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --dist worksteal
 
 # The tests on every Python of pyproject.toml, and with the lowest version of every dependency; each must be installed.
+# Those of numbers also as on other processors.
 test-all: test
+	$(BIN)/python tests/every_processor.py -- --numprocesses auto --dist worksteal
 	$(BIN)/python tests/every_python.py lowest 3.12 3.13 -- --numprocesses auto --dist worksteal
 
 soak: $(VENV)/installed
