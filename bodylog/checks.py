@@ -85,7 +85,8 @@ def require_tracks(
         explicit = configured.get(name.split("/")[-1], configured.get(feature_of(name)))
         if explicit is not None and group_of(name) not in some and (explicit or settings.topics.cameras):
             seen = f"{name}: nothing usable in {used.seen} pictures of the camera or feature that robot.toml names"
-            reason = next((finding.text for finding in features.findings if finding.text.startswith(f"{name}: ")), seen)
+            about = (f"{name}: ", f"{feature_of(name)}: ")
+            reason = next((finding.text for finding in features.findings if finding.text.startswith(about)), seen)
             raise EvidenceError(f"{log}: {reason}{instead.format(name)}")
 
 

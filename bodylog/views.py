@@ -24,11 +24,12 @@ from .pipeline import Result, doctor, folders, ingest, observe
 from .result import NO_SCORES, Scores, estimate_result
 from .scoring import score_estimate
 from .settings import Settings, hand_colour, plain
-from .types import Estimate, Features, Finding, Recording
+from .types import Array, Estimate, Features, Finding, Recording
 from .written_messages import topic_of
 
 if TYPE_CHECKING:
     from .perception import Candidate
+    from .perception.tracking.candidates import Survey
     from .report.figures.reprojection import Sheet, Zero
     from .report.viewers.image_overlay import Picture
     from .report.viewers.rerun_recording import Camera
@@ -251,14 +252,36 @@ def features(log: Path, out: Path | None, settings: Settings, effector: tuple[fl
         found = survey(read, hand_colour(settings, read.skin is not None), effector)
         if not found.candidates:
             raise EvidenceError(f"no tag and no colour in {found.count} images; mount a printed tag: docs/recording.md")
-    rows = [_offered(one, one is found.arm) for one in found.candidates]
+    boards, rest = _with_boards(found)
+    offered = [*boards, *((_offered(one, one is found.arm), one.track) for one in rest)]
+    rows = [row for row, _ in offered]
     if out is not None:
-        marks = [
-            contact_sheet.Mark(_caption(row), row["arm"], one.track)
-            for row, one in zip(rows, found.candidates, strict=True)
-        ]
+        marks = [contact_sheet.Mark(_caption(row), row["arm"], track) for row, track in offered]
         image_overlay.write(contact_sheet.draw(found.images, marks), out)
     return Offered(rows, found.count, read.findings)
+
+
+def _with_boards(found: "Survey") -> "tuple[list[tuple[dict[str, Any], Array]], list[Candidate]]":
+    """Each board as plain values with the track of its marker seen most often, and the candidates on no board."""
+    from .sources import CharucoSource
+
+    rest = list(found.candidates)
+    boards = list[tuple[dict[str, Any], Array]]()
+    for board in found.boards:
+        members = [one for one in rest if board.holds(one.source)]
+        rest = [one for one in rest if not board.holds(one.source)]
+        best = max(members, key=lambda one: (one is found.arm, one.seen))
+        counts = f"{board.shape.columns}x{board.shape.rows}"
+        row = _offered(best, best is found.arm)
+        if not row["arm"] and best.why.startswith("seen in"):
+            row["why_not"] = f"seen in {best.seen * found.count:.0f} of {found.count} images, 4 are enough with a URDF"
+        source = CharucoSource(counts, 0.0, 0.0, board.dictionary)
+        measure = f"measure square and marker, in m; a marker is {board.shape.marker:.2f} of a square"
+        row["name"] = f"board {counts} ({board.dictionary})"
+        row["kind"] = "board"
+        row["line"] = f"{toml_line('board', source)}  # {measure}"
+        boards.append((row, best.track))
+    return boards, rest
 
 
 def _offered(one: "Candidate", arm: bool) -> dict[str, Any]:

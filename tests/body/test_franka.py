@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bodylog import calibration, pipeline
+from bodylog import calibration, pipeline, views
 from bodylog.config import load as load_settings
+from bodylog.errors import EvidenceError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import between
 from bodylog.kinematics.rotations import inverse, transform
@@ -114,3 +115,17 @@ def test_board_moved_between_two_logs_is_found_and_the_zeros_stay_as_sure(robot,
     for name in ("panda_joint2", "panda_joint5"):
         assert two[name].std < 1.3 * one[name].std
         assert abs(two[name].value - one[name].value) < 2.0 * one[name].std
+
+
+def test_features_offers_the_board_in_one_line_and_fit_answers_swapped_counts(robot, tmp_path):
+    log = rows_of("poses.csv", np.arange(0, 12, 3), tmp_path)
+    found = views.features(log, None, load_settings(None), None)
+    boards = [one for one in found.candidates if one["kind"] == "board"]
+    assert [one["name"] for one in boards] == ["board 5x7 (6x6_250)"]
+    line = boards[0]["line"]
+    assert line.startswith('board = {charuco = "5x7", ') and "measure square and marker" in line
+    assert not any(one["name"].startswith("tag ") for one in found.candidates)
+    swapped = tmp_path / "swapped.toml"
+    swapped.write_text((DATA / "robot.toml").read_text().replace("5x7", "7x5"))
+    with pytest.raises(EvidenceError, match='numbered as on a board of 5 columns: type: charuco = "5x7"'):
+        pipeline.fit([log], tmp_path / "none.npz", load_settings(swapped))

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from bodylog.perception import tracking
+from bodylog.perception.tags import unknown
+from bodylog.perception.tags.board_shape import recognise_board
 from bodylog.perception.tags.charuco import CharucoTracker, layout
+from bodylog.perception.tags.search import Tags
 from bodylog.sources import CharucoSource
 from bodylog.types import Array
 from tests.perception import tag_scenes
@@ -104,3 +107,31 @@ def test_charuco_finds_every_corner_opencv_finds() -> None:
     both = np.isfinite(theirs[..., 0])
     assert np.isfinite(ours[both]).all() and np.isfinite(ours[..., 0]).sum() > both.sum() > 200
     assert np.median(np.linalg.norm(ours - (theirs - SHIFTED), axis=2)[both]) < 0.1
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+@pytest.mark.parametrize("shape", [(5, 6), (6, 5), (4, 9)])
+def test_board_is_recognised_by_the_numbers_of_its_markers(shape: tuple[int, int], legacy: bool) -> None:
+    seen = []
+    for seed in range(3):
+        image, _ = tag_scenes.board_scene(np.random.default_rng(seed), shape, 36.0, Look(noise=2.0), legacy)
+        seen.append(unknown.tags_by_dictionary(image, ["4x4_100"])["4x4_100"])
+    found = recognise_board(seen)
+    assert found is not None and (found.columns, found.rows) == shape
+    assert found.marker == pytest.approx(0.04 / 0.07, abs=0.03)
+
+
+def test_grid_of_tags_that_is_no_chessboard_is_not_taken_for_a_board() -> None:
+    middles = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1).reshape(-1, 2) * 60.0 + 60.0
+    square = 20.0 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    zero = np.zeros((12, 4, 2, 2))
+    tags = Tags(np.arange(12), middles[:, None] + square, middles, zero, zero[:, 0], np.ones(12))
+    assert recognise_board([tags]) is None
+
+
+@pytest.mark.parametrize(("typed", "true"), [("6x5", (5, 6)), ("4x7", (5, 6))])
+def test_wrong_counts_of_a_board_are_answered_with_the_right_ones(typed: str, true: tuple[int, int]) -> None:
+    images = [tag_scenes.board_scene(np.random.default_rng(k), true, 36.0, Look(), False)[0] for k in range(3)]
+    _, found = _values(CharucoSource(typed, 0.07, 0.04, "4x4_1000", legacy=False), images)
+    (finding,) = found.findings
+    assert f'type: charuco = "{true[0]}x{true[1]}"' in finding.text

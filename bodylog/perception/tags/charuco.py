@@ -9,6 +9,7 @@ from ...sources import CharucoSource, board_points, track_names
 from ...types import Array, Finding
 from ..tracking.contract import HIDDEN, UNDECODABLE, Tracked, Tracker
 from . import quads, saddle, search
+from .board_shape import recognise_board
 from .codes import codes, read
 
 _LEAST_MARKERS, _MOST_OF = 3, 0.5
@@ -23,6 +24,8 @@ _RELIEF = 0.4
 """Least share of the board's usual contrast between them."""
 _KEPT = 0.7
 """Least share of the last frame's corners that must be found at their expected places."""
+_REMEMBERED = 20
+"""Images whose markers are kept, to tell another board by their numbers."""
 _NEAR = 2.5
 """Squares: largest distance of a corner from a marker that was read."""
 
@@ -80,6 +83,7 @@ class CharucoTracker:
         self._frames: list[Seen | None] = []
         self._broken: list[int] = []
         self._read = 0
+        self._tags: list[search.Tags] = []
 
     def add(self, gray: Array | None) -> None:
         """The next frame (H,W) uint8; None: undecodable."""
@@ -109,8 +113,13 @@ class CharucoTracker:
             text = f"{self._name}: {seen} of the board's {count} corners seen{pattern}"
             return (Finding("info", text),)
         if self._read:
+            found = recognise_board(self._tags)
             columns, rows = self._source.shape
-            hint = f'; type: charuco = "{rows}x{columns}"' if rows != columns else ""
+            hint = "" if found is None else f"; they are numbered as on a board of {found.columns} columns"
+            if found is not None and found.columns == rows:
+                hint += f': type: charuco = "{rows}x{columns}"'
+            elif found is not None:
+                hint += f' and at least {found.rows} rows: type: charuco = "{found.columns}x{found.rows}"'
             text = f"{self._name}: {self._read} markers were read, but not as on a {self._source.charuco} board{hint}"
             return (Finding("warning", text),)
         return ()
@@ -126,6 +135,8 @@ class CharucoTracker:
         count = len(self._layout().markers)
         tags = search.whole(gray, codes(self._source.dictionary), np.arange(count))
         self._read += len(tags.number)
+        if len(self._tags) < _REMEMBERED:
+            self._tags.append(tags)
         if len(tags.number) < _LEAST_MARKERS:
             return None
         poses = {legacy: _pose(board, tags) for legacy, board in self._layouts.items()}

@@ -35,7 +35,7 @@ def present(images: Sequence[Array], dictionaries: Sequence[str] = COMMON) -> li
     """The tags in images (H,W,3) BGR, those seen most often first; a quad is read as one dictionary's tag alone."""
     where: dict[tuple[str, int], Array] = {}
     for row, image in enumerate(images):
-        for name, tags in _in_one(gray(image), dictionaries).items():
+        for name, tags in tags_by_dictionary(gray(image), dictionaries).items():
             for number, centre in zip(tags.number.tolist(), tags.centres, strict=True):
                 where.setdefault((name, number), np.full((len(images), 2), np.nan))[row] = centre
     found = [Found(TagSource(n, d), int(np.isfinite(uv[:, 0]).sum()), uv) for (d, n), uv in where.items()]
@@ -43,7 +43,7 @@ def present(images: Sequence[Array], dictionaries: Sequence[str] = COMMON) -> li
     return sorted((one for one in found if one.seen >= least), key=lambda one: (-one.seen, one.source.tag))
 
 
-def _in_one(image: Array, dictionaries: Sequence[str]) -> dict[str, search.Tags]:
+def tags_by_dictionary(image: Array, dictionaries: Sequence[str]) -> dict[str, search.Tags]:
     """The tags in one image (H,W) uint8, by dictionary."""
     candidates = search.refined(image, search.candidates(image), _SIDE)
     taken, found = np.empty((0, 2)), {}

@@ -1,6 +1,6 @@
 """Features that a log offers: tags and colours, each with the share of its motion that the joints explain."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +10,10 @@ from ...settings import Colour
 from ...sources import ColourSource, Source, TagSource
 from ...types import Array, Recording
 from ..colours import blob_measurement, clutter, colour_proposals
-from ..colours.coarse_search import CANDIDATES
+from ..colours.coarse_search import CANDIDATES, gray
 from ..colours.hsv_ranges import Range, covered, resolve
 from ..tags import unknown
+from ..tags.board_shape import BoardShape, recognise_board
 from . import joint_motion, target_selection
 
 _FEW = 12
@@ -42,16 +43,45 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Candidates, likeliest on the arm first · images {number: (H,W,3) BGR} for a contact sheet · number of images."""
+    """Candidates, likeliest on the arm first · images {number: (H,W,3) BGR} for a contact sheet · number of images.
+
+    boards: those whose markers are among the candidates.
+    """
 
     candidates: tuple[Candidate, ...]
     images: Mapping[int, Array]
     count: int
+    boards: tuple["Board", ...] = ()
 
     @property
     def arm(self) -> Candidate | None:
         """The first candidate that moves with the joints, or None."""
         return next((one for one in self.candidates if not one.why), None)
+
+
+@dataclass(frozen=True)
+class Board:
+    """A ChArUco board: its shape, its dictionary, and the numbers of its markers that were seen."""
+
+    shape: BoardShape
+    dictionary: str
+    numbers: frozenset[int]
+
+    def holds(self, source: Source) -> bool:
+        """Whether a source is one of its markers."""
+        return isinstance(source, TagSource) and source.dictionary == self.dictionary and source.tag in self.numbers
+
+
+def _boards(images: list[Array], tags: list[TagSource]) -> Iterator[Board]:
+    """Yield the board of each dictionary whose tags lie on one."""
+    dictionaries = sorted({tag.dictionary for tag in tags})
+    seen = [unknown.tags_by_dictionary(gray(image), dictionaries) for image in images] if dictionaries else []
+    for name in dictionaries:
+        numbers = [tag.tag for tag in tags if tag.dictionary == name]
+        known = [one[name].chosen(np.flatnonzero(np.isin(one[name].number, numbers))) for one in seen]
+        shape = recognise_board(known)
+        if shape is not None:
+            yield Board(shape, name, frozenset(numbers))
 
 
 def survey(recording: Recording, hand: Colour | None, effector_uv: tuple[float, float] | None = None) -> Survey:
@@ -80,7 +110,8 @@ def survey(recording: Recording, hand: Colour | None, effector_uv: tuple[float, 
         *(_tag(tag, np.stack(seen)[:, k], q, width) for k, tag in enumerate(tags)),
         *(_colour(one, np.stack(found)[:, k], t, recording, width, hand) for k, one in enumerate(ranges)),
     ]
-    return Survey(tuple(sorted(judged, key=lambda one: _rank(one, effector_uv))), images, len(t))
+    ranked = tuple(sorted(judged, key=lambda one: _rank(one, effector_uv)))
+    return Survey(ranked, images, len(t), tuple(_boards(some, tags)))
 
 
 def _centres(image: Array, tags: list[TagSource]) -> Array:
