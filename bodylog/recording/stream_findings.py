@@ -85,7 +85,7 @@ def _vanishing(stream: Stream) -> Iterator[str]:
 
 def _clock_steps(stream: Stream) -> Iterator[str]:
     """Where a stream's clocks were set, by how much, and how its times were put onto one clock."""
-    first = min((int(stream.log_ns.min()), *(step.at_ns for step in stream.steps)))
+    first = int(stream.log_ns[stream.rows.argmin()])
     recorder_rows = {step.row for step in stream.steps if step.clock == "log"}
     own_rows = {step.row for step in stream.steps if step.clock == "header"}
     for step in stream.steps:
