@@ -6,9 +6,9 @@ from math import degrees, nan
 from typing import TYPE_CHECKING
 
 from .body_model import BodyModel
-from .evaluation.figures import EITHER, FIRST
+from .evaluation.figures import FIRST
 from .settings import Estimation
-from .types import Estimate, Fault, Features, Finding, Series
+from .types import EITHER, Estimate, Fault, Features, Finding, Series
 
 if TYPE_CHECKING:
     from .body.kinematic.change import Change

@@ -12,8 +12,15 @@ def fault_warnings(faults: Sequence[Fault]) -> tuple[Finding, ...]:
     return tuple(Finding("warning", _text(fault)) for fault in faults)
 
 
+def span_text(fault: Fault, decimals: int = 1) -> str:
+    """When a fault was there: "since 18.0 s", or "18.0 to 21.0 s"."""
+    if fault.until is None:
+        return f"since {fault.since:.{decimals}f} s"
+    return f"{fault.since:.{decimals}f} to {fault.until:.{decimals}f} s"
+
+
 def _text(fault: Fault) -> str:
-    since = f"{fault.sense} {fault.name}: {fault.kind} since {fault.since:.3f} s"
+    since = f"{fault.sense} {fault.name}: {fault.kind} {span_text(fault, 3)}"
     # the size of an ambiguous fault is NaN
     known = fault.size == fault.size
     size = f", {quantity(fault.size, fault.std, fault.unit)}" if known else "; the log does not determine which one"

@@ -15,7 +15,7 @@ from .body_model import BodyModel
 from .estimation.faults.threshold import FAR, NATS
 from .estimation.measurements.gather import camera
 from .estimation.timing import correction
-from .evaluation.figures import EITHER, MISFIT
+from .evaluation.figures import MISFIT
 from .runtime.blas_threads import one_thread
 from .settings import Estimation
 from .sighting_evidence import (
@@ -30,7 +30,7 @@ from .sighting_evidence import (
     usual_offsets,
     wide_nats,
 )
-from .types import Array, Estimate, Features, Finding, Health
+from .types import EITHER, Array, Estimate, Features, Finding, Health
 
 MOST_OFF = 0.5
 """Share of sightings off from which a log does not fit. Encoders of real arms with play and load, and one image in

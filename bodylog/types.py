@@ -197,10 +197,15 @@ class Recording:
     track_health: Mapping[str, Health] = field(default_factory=dict)
 
 
+EITHER = " or "
+"""Between the names of joints one of which is faulty."""
+
+
 @dataclass(frozen=True)
 class Fault:
     """One sensor that lied: which joint or sense, what kind, since when (s), how much ± std (`unit`, None: unknown).
 
+    until: when it ended (s); None where it lasts to the end of the log, or has no end, as a jump.
     turn ± turn_std: rad by which a board also turned, whose size is the displacement of its centre; None otherwise.
     """
 
@@ -213,6 +218,12 @@ class Fault:
     std: float | None = None
     turn: float | None = None
     turn_std: float | None = None
+    until: float | None = None
+
+    @property
+    def alternatives(self) -> tuple[str, ...]:
+        """Names, after the first, of those that explain the log alike."""
+        return tuple(self.name.split(EITHER)[1:])
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from .evaluation.figures import EITHER, FIRST, MISFIT, doubtful_delays
+from .evaluation.figures import FIRST, MISFIT, doubtful_delays
+from .fault_findings import span_text
 from .score_names import split
-from .types import Estimate, Fault, Score
+from .types import EITHER, Estimate, Fault, Score
 from .wording import quantity
 
 MOST = 3
@@ -81,7 +82,7 @@ def _of(values: Mapping[str, float], figure: str) -> dict[str, float]:
 def _fault(fault: Fault) -> str:
     known = fault.size == fault.size
     size = quantity(fault.size, fault.std, fault.unit)
-    text = _WORDS.get((fault.sense, fault.kind), _other)(fault, size, f"since {fault.since:.1f} s", known)
+    text = _WORDS.get((fault.sense, fault.kind), _other)(fault, size, span_text(fault), known)
     return text if known or EITHER not in fault.name else f"{text} (the log cannot tell which)"
 
 
@@ -96,7 +97,8 @@ def _jumping(fault: Fault, size: str, since: str, known: bool) -> str:
 
 
 def _glitch(fault: Fault, size: str, since: str, known: bool) -> str:
-    return f"{fault.name}: encoder is off by {size} for a moment at {fault.since:.1f} s"
+    when = f"for a moment at {fault.since:.1f} s" if fault.until is None else since
+    return f"{fault.name}: encoder is off by {size} {when}"
 
 
 def _moved(fault: Fault, size: str, since: str, known: bool) -> str:

@@ -109,7 +109,7 @@ def entry(result: "Result", source: Any) -> dict[str, Any]:
         "scores": scores_by_name(result.scores),
         "health": {topic: asdict(health) for topic, health in result.health.items()},
         "findings": [asdict(finding) for finding in dict.fromkeys(result.findings)],
-        "faults": [asdict(fault) for fault in result.faults],
+        "faults": [{**asdict(fault), "alternatives": list(fault.alternatives)} for fault in result.faults],
         "settings": result.settings,
     }
 

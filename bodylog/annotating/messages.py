@@ -204,12 +204,17 @@ def _faults(faults: Sequence[Fault], joints: Series, start_ns: int) -> Outgoing:
             ("string", fault.kind),
             ("float64", fault.size),
             ("string", fault.unit),
-            *(("float64", np.nan if v is None else v) for v in (fault.std, fault.turn, fault.turn_std)),
+            *(("float64", np.nan if v is None else v) for v in _doubts(fault)),
         ]
         parts.append((np.array([i]), cdr.serialise(1, fields)))
     last = np.searchsorted(joints.t, [fault.since for fault in faults], "right") - 1
     times = joints.source_ns[np.maximum(last, 0)]
     return _outgoing(PREFIX + "faults", "bodylog_msgs/msg/Fault", times, cdr.merge(parts, len(faults)))
+
+
+def _doubts(fault: Fault) -> tuple[float | None, ...]:
+    """What may be unknown of a fault, in the order of its message."""
+    return fault.std, fault.turn, fault.turn_std, fault.until
 
 
 def _plain(topic: str, kind: str, log_ns: Array, fields: Sequence[CdrField]) -> Outgoing:

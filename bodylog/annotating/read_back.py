@@ -49,7 +49,7 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
 """Type -> the fields to read back."""
 
 
-FAULT_DOUBTS = ("std", "turn", "turn_std")
+FAULT_DOUBTS = ("std", "turn", "turn_std", "until")
 """Fields of a fault that are NaN where they are not known; the oldest files have none of them."""
 
 

@@ -134,7 +134,7 @@ def _row(
         "used": {sense: health.used for sense, health in result.health.items()} if result else {},
         "verdict": list(result.verdict) if result else [],
         "headline": dict(result.headline) if result else {},
-        "faults": [_plain(fault) for fault in result.faults] if result else [],
+        "faults": [_plain_fault(fault) for fault in result.faults] if result else [],
         "health": {name: _plain(health) for name, health in result.health.items()} if result else {},
         "findings": [[f.severity, f.text] for f in dict.fromkeys(result.findings)] if result else [],
     }
@@ -143,6 +143,10 @@ def _row(
 def _plain(record: Fault | Health) -> dict[str, Any]:
     """A record as JSON holds it, NaN as null."""
     return {key: _finite(v) if isinstance(v, float) else v for key, v in asdict(record).items()}
+
+
+def _plain_fault(fault: Fault) -> dict[str, Any]:
+    return {**_plain(fault), "alternatives": list(fault.alternatives)}
 
 
 def _finite(value: float) -> float | None:

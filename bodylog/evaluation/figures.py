@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from ..types import Estimate, Fault, Score
+from ..types import EITHER, Estimate, Fault, Score
 
 OFFSET = ("drifting", "jumping", "offset")
 """Kinds of fault that are offsets of an encoder."""
@@ -17,8 +17,6 @@ DISPLACED = "displaced"
 """Kind of a fault that is a camera's, all of whose tracks are displaced."""
 CAMERA = "camera"
 """Name of the first camera, whose tracks are named plainly."""
-EITHER = " or "
-"""Between the names of joints one of which is faulty."""
 MEASURED_DELAYS = "delay_measured"
 """Key of an estimate's settings: {camera: seconds, std_error, doubt (why it is not applied, or ""), evident}."""
 MISFIT = "misfit"

@@ -9,7 +9,9 @@ from bodylog.estimation import estimate
 from bodylog.estimation.faults.jumping import jumps, unwrapped
 from bodylog.estimation.faults.repeats import silent, stuck
 from bodylog.estimation.faults.threshold import NATS
+from bodylog.fault_findings import fault_warnings
 from bodylog.settings import Estimation
+from bodylog.verdict import of_estimate
 from tests.estimation.conftest import Linear
 from tests.estimation.resting import Drawn, drawn, judged
 
@@ -181,7 +183,7 @@ def test_jumps_ignores_a_single_spike():
     y[200] += 1.0
     assert jumps(t, y) == []
     y[250:] += 0.5
-    ((at, size),) = jumps(t, y)
+    ((at, size, _),) = jumps(t, y)
     assert at == 250 and size == pytest.approx(0.5, abs=0.05)
 
 
@@ -199,7 +201,7 @@ def test_jumps_ignores_the_steps_of_a_coarse_encoder():
     assert np.mean(np.diff(y) == 0.0) > 0.5
     assert jumps(t, y) == []
     y[600:] += 0.3
-    ((at, size),) = jumps(t, y)
+    ((at, size, _),) = jumps(t, y)
     assert at == 600 and size == pytest.approx(0.3, abs=0.02)
 
 
@@ -273,3 +275,38 @@ def test_ambiguous_joints_are_both_named_without_a_size(world, joint, named, see
     drawn = world(seed, duration=16.0, encoder_std=0.01, model=similar)
     (fault,) = estimate(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, Estimation()).faults
     assert set(fault.name.split(" or ")) == named and np.isnan(fault.size) == (len(named) > 1)
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize(
+    ("senses", "noise", "size"),
+    [(None, 0.001, 0.06), (None, 0.02, 0.8), (("encoders",), 0.005, -0.2), (("encoders",), 0.02, 0.8)],
+)
+def test_a_repaired_jump_adds_its_own_uncertainty(world, method, senses, noise, size):
+    spread, shares = [], []
+    for seed in range(6):
+        drawn = world(seed, duration=12.0, encoder_std=noise, camera_hz=12.0)
+        features = spoil(drawn, lambda t, y: np.add(y, size, out=y, where=t >= 6.0))
+        found = estimate(features, drawn.body, Estimation(senses=senses, method=method))
+        (fault,) = found.faults
+        assert (fault.name, fault.kind) == ("pan", "jumping")
+        shares.append(abs(fault.size - size) / fault.std)
+        late = found.joints.t > 6.2
+        error = (found.joints.values - drawn.truth.values)[late, 0]
+        spread.append(np.mean(error**2 / found.cov[late, 0, 0]))
+    assert max(shares) < 3.0 and 0.5 < np.mean(spread) < 2.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fault_that_ends_has_an_end(world, seed):
+    def freeze_for_a_while(t, y):
+        y[(t >= 8.0) & (t < 11.0)] = y[np.searchsorted(t, 8.0)]
+
+    drawn = world(seed, duration=16.0, encoder_std=0.005, camera_hz=20.0)
+    found = estimate(spoil(drawn, freeze_for_a_while), drawn.body, Estimation())
+    (fault,) = found.faults
+    assert (fault.kind, fault.since) == ("frozen", pytest.approx(8.0, abs=0.05))
+    assert fault.until == pytest.approx(11.0, abs=0.03)
+    assert "pan: encoder is frozen 8.0 to 11.0 s" in of_estimate(found, ())
+    (warning,) = fault_warnings([fault])
+    assert warning.text.startswith("encoders pan: frozen 8.020 to 11.000 s")

@@ -58,7 +58,8 @@ def test_read_estimate_reads_faults_without_std(tmp_path, monkeypatch):
     path = log_of(tmp_path / "log.mcap", features, estimate)
     monkeypatch.undo()
     again = read_estimate(path, START)
-    assert again.faults == tuple(replace(fault, std=None, turn=None, turn_std=None) for fault in estimate.faults)
+    unknown = dict.fromkeys(FAULT_DOUBTS)
+    assert again.faults == tuple(replace(fault, **unknown) for fault in estimate.faults)
 
 
 def _without_doubts(fields):

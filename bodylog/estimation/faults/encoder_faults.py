@@ -16,18 +16,26 @@ from ...types import Array, Fault, Finding, Hypothesis
 from ..inference.reacquisition import SILENCE
 from ..measurements.records import Encoders, Evidence
 from .jumping import jumps, shifts, unwrapped
-from .repeats import silent, stuck
+from .repeats import Stuck, silent, stuck
 from .stalled import motion_nats
 from .threshold import NATS
 
 
+class ReadingFault(NamedTuple):
+    """A fault of one encoder: its kind, since when and until when (s; None: to the end), size ± std (rad)."""
+
+    kind: str
+    since: float
+    until: float | None = None
+    size: float = 0.0
+    std: float | None = None
+
+
 class Screened(NamedTuple):
-    """One encoder: readings (N,) rad without faulty stretches and jumps, its faults (kind, since s, size rad), and the
-    nats won by each kind.
-    """
+    """One encoder: readings (N,) rad without faulty stretches and jumps, its faults, and the nats won by each kind."""
 
     values: Array
-    faults: Sequence[tuple[str, float, float]]
+    faults: Sequence[ReadingFault]
     nats: Mapping[str, float]
 
 
@@ -52,9 +60,8 @@ def detect(evidence: Evidence, body: BodyModel) -> Evidence:
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))
     }
     faults = [
-        Fault("encoders", name, kind, since, amount / size, evidence.unit)
-        for name, one in found.items() for kind, since, amount in one.faults
-    ]  # fmt: skip
+        _in_unit(fault, name, size, evidence.unit) for name, one in found.items() for fault in one.faults
+    ]
     hypotheses = [
         Hypothesis(f"encoder {kind}", name, nats, NATS, nats > NATS)
         for name, one in found.items() for kind, nats in one.nats.items()
@@ -66,6 +73,12 @@ def detect(evidence: Evidence, body: BodyModel) -> Evidence:
         findings=(*evidence.findings, *findings),
         hypotheses=(*evidence.hypotheses, *hypotheses),
     )
+
+
+def _in_unit(fault: ReadingFault, name: str, size: float, unit: str) -> Fault:
+    """A joint's fault, with its size in readings of `size` rad a unit."""
+    std = None if fault.std is None else fault.std / size
+    return Fault("encoders", name, fault.kind, fault.since, fault.size / size, unit, std, until=fault.until)
 
 
 def _in_units(read: Encoders, angled: Encoders, screened: Encoders, size: float) -> Encoders:
@@ -96,21 +109,29 @@ def _screened(t: Array, y: Array, moved: Callable[[int, int], float]) -> Screene
     """
     if not np.isfinite(y).any():
         return Screened(y, (), {})
-    values, found, nats = y.copy(), list[tuple[str, float, float]](), {"frozen": 0.0, "dead": 0.0, "jumped": 0.0}
+    values = y.copy()
+    found = list[ReadingFault]()
+    nats = {"frozen": 0.0, "dead": 0.0, "jumped": 0.0}
     for one in (silent(t, y), *stuck(t, y, moved)):
         nats[one.kind] = max(nats[one.kind], one.nats)
         if one.nats > NATS:
-            found.append((one.kind, float(t[one.begin]), 0.0))
+            found.append(ReadingFault(one.kind, float(t[one.begin]), _end(t, y, one)))
             values[one.begin : one.end] = np.nan
     moves = shifts(t, values)
     nats["jumped"] = max((won for *_, won in moves), default=0.0)
     for begin, end, size in _excursions(t, values, moves):
-        found.append(("glitch", float(t[begin]), size))
+        found.append(ReadingFault("glitch", float(t[begin]), float(t[end]), size))
         values[begin:end] = np.nan
-    for at, size in jumps(t, values):
-        found.append(("jumping", float(t[at]), size))
+    for at, size, std in jumps(t, values):
+        found.append(ReadingFault("jumping", float(t[at]), None, size, std))
         values[at:] -= size
     return Screened(values, found, nats)
+
+
+def _end(t: Array, y: Array, stuck: Stuck) -> float | None:
+    """When (s) an encoder that was stuck reads again; None if it never does."""
+    later = np.flatnonzero(np.isfinite(y[stuck.end :]))
+    return float(t[stuck.end + later[0]]) if len(later) and stuck.end > stuck.begin else None
 
 
 def _excursions(t: Array, y: Array, moves: Sequence[tuple[int, float, float]]) -> list[tuple[int, int, float]]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...types import Array, Fault, Hypothesis
+from ...types import EITHER, Array, Fault, Hypothesis
 from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import Problem
 from ..inference.solution import Solution
@@ -87,7 +87,7 @@ def _with_way(way: Way, joint: int, near: list[int]) -> Problem:
 
 def _either(names: tuple[str, ...], joint: int, others: tuple[int, ...]) -> str:
     """A faulty joint's name, with those of others that the log cannot distinguish from it."""
-    return " or ".join(names[j] for j in (joint, *others))
+    return EITHER.join(names[j] for j in (joint, *others))
 
 
 def _best_way(
@@ -122,12 +122,42 @@ def with_drift(problem: Problem, drift: Array) -> Problem:
     return replace(problem, precision=replace(problem.precision, drift=drift))
 
 
-def preset_walks(setting: str, names: tuple[str, ...], known: tuple[Fault, ...]) -> Array | None:
-    """Random walks (M,) rad²/s set without evidence: for all joints if `on`, for encoders that jumped if `auto`."""
-    jumped = {fault.name for fault in known if fault.kind == "jumping"}
+def preset_walks(setting: str, evidence: Evidence) -> Array | None:
+    """Random walks (M,) rad²/s set beforehand: for all joints if `on`, for encoders that jumped if `auto`.
+
+    Without images nothing tells what is left of a jump: its size's variance is all that is known.
+    """
+    names = evidence.joints
+    seen = any(sighting.name != "touch" for sighting in evidence.sightings)
+    jumped = {fault.name for fault in evidence.faults if fault.kind == "jumping" and seen}
     if setting == "on" or (setting == "auto" and jumped):
         return np.array([WALKS[1] if setting == "on" or name in jumped else 0.0 for name in names])
     return None
+
+
+def repaired_variance(problem: Problem, offset_var: Array | None) -> Array:
+    """Variance (E,M) rad² of angles by the sizes ± std of jumps that were taken out of earlier readings.
+
+    offset_var (E,M) rad²: of offsets in the state, or None. Images that turned an offset's prior
+    variance V into P hold the information 1/P − 1/V. They hold it of what is left of the jump, too:
+    with a prior V + std² the variance would be 1/(1/(V + std²) + 1/P − 1/V), and P less is added.
+    """
+    t = problem.timeline.t
+    walks = _walks(problem)
+    names = problem.evidence.joints
+    added = np.zeros((len(t), len(names)))
+    for fault in problem.evidence.faults:
+        joint = fault.name.partition(EITHER)[0]
+        if fault.sense != "encoders" or fault.std is None or joint not in names:
+            continue
+        column = names.index(joint)
+        left = np.full(len(t), fault.std**2)
+        if offset_var is not None and walks[column] > 0.0:
+            prior = OFFSET_STD**2 + walks[column] * (t - t[0])
+            known = np.minimum(offset_var[:, column], prior)
+            left = 1.0 / (1.0 / (prior + fault.std**2) + 1.0 / known - 1.0 / prior) - known
+        added[:, column] += np.where(t >= fault.since, left, 0.0)
+    return added
 
 
 def smallest_fault(evidence: Evidence) -> Array | float:

@@ -36,7 +36,9 @@ def _moving(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]
         own = shown[begin:end]
         if moved := _moved(sighting, encoders, sighting.t[own[0]], sighting.t[own[-1]]):
             values[own[1:]] = np.nan
-            found.append(Fault("vision", sighting.name, "frozen", float(sighting.t[own[1]]), moved, "px"))
+            since = float(sighting.t[own[1]])
+            until = float(sighting.t[shown[end]]) if end < len(shown) else None
+            found.append(Fault("vision", sighting.name, "frozen", since, moved, "px", until=until))
     return values, found
 
 

@@ -7,15 +7,53 @@ import numpy as np
 from ...types import Array
 from ..inference.initial_path import OFFSET_STD
 from ..measurements.long_arrays import LEVEL, median, median_step, rows
+from ..noise.quantisation import step_size
 from .threshold import NATS
 
 FASTEST = 1000.0
 """rad/s²: largest acceleration of a joint; the fastest parallel robots reach a third of it at 1 m (15 g at 0.5 m)."""
 
 
-def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
-    """Return first index after each lasting shift in level of y (N,) rad at t (N,) s, and its size (rad)."""
-    return [(at, size) for at, size, nats in shifts(t, y) if nats > NATS]
+SIZE_READINGS = 2 * LEVEL
+"""Readings on each side of a jump that tell its size. On 1,800 jumps of drawn arms at 50 to 500 Hz
+sizes are off by 0.90 to 0.95 of the stated standard deviation, and by 3.0 of it at most; with up to
+40 readings, by up to 1.14 and 3.3."""
+
+
+def jumps(t: Array, y: Array) -> list[tuple[int, float, float]]:
+    """Return first index after each lasting shift in level of y (N,) rad at t (N,) s, its size and std (rad)."""
+    known = np.flatnonzero(np.isfinite(y))
+    when, v = t[known], y[known]
+    begins = [at for at, _, nats in shifts(t, y) if nats > NATS]
+    at_known = np.searchsorted(known, begins)
+    edges = [0, *at_known.tolist(), len(known)]
+    return [
+        (at, *_size(when[before:after], v[before:after], middle - before))
+        for at, before, middle, after in zip(begins, edges, edges[1:], edges[2:], strict=False)
+    ]
+
+
+def _size(t: Array, v: Array, at: int) -> tuple[float, float]:
+    """Size and std (rad) of a jump before the reading `at` of v (N,) rad at t (N,) s: a cubic and a step."""
+    window = slice(max(0, at - SIZE_READINGS), at + SIZE_READINGS)
+    since = t[window] - t[at]
+    after = np.where(since >= 0.0, 1.0, 0.0)
+    basis = np.column_stack([np.vander(since / np.abs(since).max(), 4), after])
+    fitted = np.linalg.lstsq(basis, v[window] - v[at])[0]
+    off = v[window] - v[at] - basis @ fitted
+    freedom = max(len(off) - basis.shape[1], 1)
+    scatter = max(_noise(v), float(np.sqrt(off @ off / freedom)))
+    std = scatter * float(np.linalg.norm(np.linalg.pinv(basis)[-1]))
+    return float(fitted[-1]), std
+
+
+def _noise(v: Array) -> float:
+    """Scatter (rad) of readings v (N,), by their second differences, and at least that of rounding."""
+    bends = np.abs(np.diff(v, 2))
+    # a normal scatter σ has second differences of √6 σ, whose median size is 0.67 of that
+    scatter = float(median(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
+    rounding = step_size(v) / 12.0**0.5
+    return float(max(scatter, rounding))
 
 
 def shifts(t: Array, y: Array) -> list[tuple[int, float, float]]:

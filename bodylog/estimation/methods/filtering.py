@@ -49,7 +49,8 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
     precision = problem.precision
     beliefs = Beliefs(
-        shown(unfold(trace.z), problem), precision.of(unfold(trace.cov[:, :m, :m]), problem.held), unfold(trace.nats),
+        shown(unfold(trace.z), problem),
+        with_repairs(precision.of(unfold(trace.cov[:, :m, :m]), problem.held), problem, solution), unfold(trace.nats),
         unfold(trace.prior),
         unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
         drifts(problem, solution), tuple(lost(problem, body.joints, solution)),
@@ -67,7 +68,7 @@ def gathered(features: Features, body: BodyModel, settings: Estimation) -> Probl
     evidence = weighed(evidence, precision, settings)
     usual = learn_prior(evidence, precision.process, first)
     problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, posture_prior=usual)
-    allowed = encoder_offset.preset_walks(settings.bias, body.joints, evidence.faults)
+    allowed = encoder_offset.preset_walks(settings.bias, evidence)
     problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
     if settings.process is None:  # it is a white acceleration
         problem = with_preferred_order(problem)
@@ -153,11 +154,24 @@ def lost(problem: Problem, names: tuple[str, ...], solved: Solution) -> Iterator
     return iter(()) if resets is None else named(names, problem.timeline.t, solved.fold.unfold(resets))
 
 
+def offset_variance(problem: Problem, solved: Solution) -> Array:
+    """Variances (E,M) rad² of the encoder offsets in the filter's state."""
+    m = len(problem.start)
+    return np.asarray(solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, m:, m:])))
+
+
+def with_repairs(cov: Array, problem: Problem, solved: Solution) -> Array:
+    """Covariances (E,M,M) rad² of angles with what the repair of jumps adds."""
+    offset_var = None if problem.precision.drift is None else offset_variance(problem, solved)
+    added = encoder_offset.repaired_variance(problem, offset_var)
+    return np.asarray(cov + added[:, :, None] * np.eye(added.shape[1]))
+
+
 def drifts(problem: Problem, solved: Solution) -> tuple[Fault, ...]:
     """Encoder offsets as faults, from the filtered offsets, without encoders known to be faulty."""
     if problem.precision.drift is None:
         return ()
-    m, unfold = len(problem.start), solved.fold.unfold
-    var = unfold(np.einsum("liic->lic", solved.trace.cov[:, m:, m:]))
+    unfold = solved.fold.unfold
+    var = offset_variance(problem, solved)
     offsets = unfold(solved.trace.z[:, problem.dynamics.offset :])
     return encoder_offset.faults(problem, offsets, var)

@@ -23,7 +23,7 @@ from ..inference.scan import Keep, restart, scan
 from ..inference.silence import smoothed
 from ..inference.solution import Smooth, Solution, completed
 from . import results
-from .filtering import drifts, gathered, kept, lost, settled, shown, tuned
+from .filtering import drifts, gathered, kept, lost, settled, shown, tuned, with_repairs
 from .results import Beliefs
 
 
@@ -41,6 +41,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     found = smooth.left_out
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
     z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov)[:, :m, :m], problem.held)
+    cov = with_repairs(cov, problem, smooth)
     errors = np.full((*problem.timeline.t.shape, m), np.nan)
     errors[problem.timeline.encoders] = found.encoders
     beliefs = Beliefs(

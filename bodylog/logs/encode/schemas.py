@@ -38,6 +38,8 @@ _PARTS = {
         "std_msgs/Header header\nstring sense\nstring name\nstring kind\nfloat64 size\nstring unit\nfloat64 std\n"
         "# A moved board also turned by `turn` +- `turn_std` rad (NaN: no board, or not known).\n"
         "float64 turn\nfloat64 turn_std\n"
+        "# When it ended, s since the log's first joint reading (NaN: it lasted, or is a jump).\n"
+        "float64 until\n"
     ),
     "foxglove_msgs/Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a\n",
     "foxglove_msgs/Point2": "float64 x\nfloat64 y\n",

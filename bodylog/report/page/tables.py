@@ -66,9 +66,16 @@ def _parts(scores: Sequence[Score]) -> str:
 
 
 def faults(estimate: Estimate) -> str:
-    """The table of sensor faults: sense, name, kind, start, size."""
-    rows = [(x.sense, x.name, x.kind, Moment(x.since, x.since), _amount(x)) for x in estimate.faults]
-    return table("Sensor faults", ("sense", "name", "kind", "since", "size"), rows)
+    """The table of sensor faults: sense, name, kind, start, end, size."""
+    rows = [
+        (x.sense, x.name, x.kind, Moment(x.since, x.until or x.since), _until(x), _amount(x))
+        for x in estimate.faults
+    ]
+    return table("Sensor faults", ("sense", "name", "kind", "since", "until", "size"), rows)
+
+
+def _until(fault: Fault) -> str:
+    return "–" if fault.until is None else f"{fault.until:.2f} s"
 
 
 def notes(features: Features, estimate: Estimate) -> list[str]:
