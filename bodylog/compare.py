@@ -35,11 +35,13 @@ def compare(
     settings: Settings,
     progress: Progress | None = None,
     done: Callable[[Row], None] | None = None,
+    full: bool = False,
 ) -> tuple[list[Row], tuple[Finding, ...]]:
-    """Run every method with every subset of the log's senses; each also predicts withheld images.
+    """Run every method with the encoders and each subset of the log's other senses.
 
-    `done` gets each row at once. A refused run is a warning, and an error if all are refused; EvidenceError
-    if no sense has readings.
+    Each also predicts withheld images. full: subsets without the encoders too · `done` gets each row at once.
+
+    A refused run is a warning, and an error if all are refused; EvidenceError if no sense has readings.
     """
     from .body import storage
 
@@ -55,7 +57,8 @@ def compare(
         raise EvidenceError(f"{log}: {why}{loss_note(log, read.findings)}")
     rows: list[Row] = []
     refused: dict[str, InputError | UsageError] = {}
-    for asked in _asked(settings, combined, silent):
+    kept = combined if full else usual(combined)
+    for asked in _asked(settings, kept, silent):
         try:
             rows.append(_row(features, learned, asked, read))
         except (InputError, UsageError) as problem:
@@ -66,7 +69,17 @@ def compare(
     if refused and not rows:
         with log_context(log, read.findings):
             raise next(iter(refused.values()))
-    return rows, (*read.findings, *features.findings, *cameras, *_labelled(rows, refused))
+    return rows, (*read.findings, *features.findings, *cameras, *_labelled(rows, refused), *_left_out(combined, kept))
+
+
+def usual(combined: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """The subsets with encoders, where the log has any: without them, each run searches for the arm for seconds."""
+    return [senses for senses in combined if "encoders" in senses] or combined
+
+
+def _left_out(combined: Sequence[tuple[str, ...]], kept: Sequence[tuple[str, ...]]) -> list[Finding]:
+    left = [",".join(senses) for senses in combined if senses not in kept]
+    return [Finding("info", f"without encoders not run: {'; '.join(left)}; add --all")] if left else []
 
 
 def subsets(features: Features, body: BodyModel, settings: Estimation) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:

@@ -22,10 +22,12 @@ WIDTH = max(map(len, COLUMNS))
 @click.option("--body", type=options.PATH, required=True, help="The body model that fit wrote.")
 @clock_option
 @delay_option
+@click.option("--all", "full", is_flag=True, help="Run senses without the encoders too; takes several times longer.")
 @options.common_options
-def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int:
+def compare(log: Path, body: Path, full: bool, common: options.Common, as_json: bool) -> int:
     """Compare every method and set of senses on a log.
 
+    The sets are the encoders with each set of the other senses; --all adds those without the encoders.
     log_density/held_out needs no truth: the mean log density (nats) of images withheld from the method, one in five.
     Compare log_evidence between rows of the same senses. seconds are processor time of the estimate.
     """
@@ -36,7 +38,7 @@ def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int
 
     chosen = common.settings()
     with progress("compare", [log], chosen) as tick:
-        rows, findings = comparison.compare(log, body, chosen, tick, None if as_json else _line())
+        rows, findings = comparison.compare(log, body, chosen, tick, None if as_json else _line(), full)
     warn(findings)
     if as_json:
         print_json([entry(Result(None, findings=findings), log) | {"rows": [_plain(row) for row in rows]}])

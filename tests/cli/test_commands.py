@@ -75,7 +75,7 @@ def test_named_senses_are_used_and_no_others(tmp_path, capsys, run_cli, robot):
 
 def test_compare_has_a_row_for_every_method_and_subset(capsys, run_cli, robot):
     capsys.readouterr()
-    assert run_cli("compare", robot / "reach.mcap", "--body", robot / "body.npz", "--json") == 0
+    assert run_cli("compare", robot / "reach.mcap", "--body", robot / "body.npz", "--all", "--json") == 0
     rows = json.loads(capsys.readouterr().out)["results"][0]["rows"]
     ran = {f"{row['method']} {','.join(row['senses'])}" for row in rows}
     assert {"laplace encoders,vision", "laplace encoders", "kalman encoders", "smoother vision"} <= ran

@@ -22,6 +22,23 @@ def _ran(capsys, run_cli, *typed):
     return {(row["method"], tuple(row["senses"])) for row in printed["rows"]}, printed
 
 
+def test_subsets_without_the_encoders_are_run_only_for_all(capsys, run_cli, robot):
+    typed = (robot / "reach.mcap", "--body", robot / "body.npz")
+    rows, printed = _ran(capsys, run_cli, *typed)
+    assert ("laplace", ("encoders", "vision")) in rows and ("kalman", ("encoders",)) in rows
+    assert all("encoders" in senses for _, senses in rows)
+    (told,) = [f["text"] for f in printed["findings"] if "--all" in f["text"]]
+    assert "vision" in told
+    whole, printed = _ran(capsys, run_cli, *typed, "--all")
+    assert rows < whole and ("laplace", ("vision",)) in whole
+    assert not any("--all" in f["text"] for f in printed["findings"])
+
+
+def test_a_log_without_encoders_has_its_rows_without_all():
+    blind_joints = [("vision", "touch"), ("vision",), ("touch",)]
+    assert compare.usual(blind_joints) == blind_joints
+
+
 def test_compare_omits_senses_that_settings_exclude(tmp_path, capsys, run_cli, robot):
     config = tmp_path / "robot.toml"
     config.write_text('[estimate]\nwithout = ["vision", "touch", "elbow_joint"]\n')
@@ -42,7 +59,7 @@ def test_compare_omits_a_sense_the_body_lacks(tmp_path, capsys, run_cli, robot):
 
 
 def test_warnings_name_the_rows_they_are_about(capsys, run_cli, robot):
-    _, printed = _ran(capsys, run_cli, robot / "reach.mcap", "--body", robot / "body.npz")
+    _, printed = _ran(capsys, run_cli, robot / "reach.mcap", "--body", robot / "body.npz", "--all")
     (text,) = [f["text"] for f in printed["findings"] if "the posture is ambiguous" in f["text"]]
     assert text.startswith("laplace vision; smoother vision; ekf vision; predictive-coding vision: vision: 2 numbers")
     assert sum("predictive-coding: knows no motion" in f["text"] for f in printed["findings"]) == 1

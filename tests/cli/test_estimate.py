@@ -146,7 +146,7 @@ def test_estimate_refuses_a_diverging_step_and_suggests_another(tmp_path, capsys
 def test_compare_needs_no_truth(tmp_path, capsys, run_cli, arm, arm_body):
     log = spoil(arm / "reach.bag", tmp_path / "log.bag", _nothing, 1.0, lambda topic: "truth" not in topic)
     capsys.readouterr()
-    assert run_cli("compare", log, "--body", arm_body) == 0
+    assert run_cli("compare", log, "--body", arm_body, "--all") == 0
     head, units, *rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     figures = ["rmse/joint", "nees/joint", "coverage_2sigma/joint", "log_evidence", "log_density/held_out"]
     assert head[2:] == [*figures, "seconds"] and units == ["rad", "1", "%", "nats", "nats", "s"]
@@ -168,7 +168,7 @@ def test_compare_warns_of_a_method_that_refuses(tmp_path, capsys, run_cli, arm, 
     (tmp_path / "start.toml").write_text(f"[estimate]\nstart = {middle.tolist()}\n")
     log = spoil(arm / "reach.bag", tmp_path / "log.bag", _nothing, 1.0)
     capsys.readouterr()
-    typed = ("compare", log, "--body", tmp_path / "body.npz", "--json")
+    typed = ("compare", log, "--body", tmp_path / "body.npz", "--json", "--all")
     assert run_cli(*typed, "--config", tmp_path / "start.toml") == 0
     captured = capsys.readouterr()
     assert {row["method"] for row in json.loads(captured.out)["results"][0]["rows"]} == {"predictive-coding"}
