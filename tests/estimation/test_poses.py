@@ -198,3 +198,19 @@ def test_two_numbers_for_three_joints_do_not_make_an_encoder_sure(learned, noise
 def _first(series, count):
     rows = slice(count)
     return replace(series, t=series.t[rows], values=series.values[rows], source_ns=series.source_ns[rows])
+
+
+@pytest.mark.parametrize("variance", [1e-4, 1e-9, 1e-16, 1e-18])
+def test_a_reading_that_no_other_foretells_has_no_error_made_of_rounding(learned, variance):
+    features, _ = _poses(3)
+    alone = replace(features, tracks={})
+    found = estimate(alone, learned, Estimation(sigma_encoders=variance, precision="model", bias="off"))
+    told = found.errors["encoders"].values
+    span = np.ptp(np.concatenate([sense.samples for sense in learned.senses.values()]), axis=0)
+    if variance < 1e-12 * span.min() ** 2:
+        assert not np.isfinite(told).any()
+    else:  # without its own reading, a joint is where the body was explored
+        low, high = (end(learned.senses["hand_marker"].samples, axis=0) for end in (np.min, np.max))
+        expected = (alone.joints.values - (low + high) / 2.0) / np.sqrt(variance + span**2)
+        np.testing.assert_allclose(told, expected, rtol=0.05, atol=0.02)
+    assert np.isfinite(found.cov).all() and np.isfinite(found.joints.values).all()

@@ -15,6 +15,9 @@ from ..noise import typed
 from .encoders import Encoding, faults, learned
 from .solve import Poses, Solved, gathered, solved
 
+LEAST_LEFT = 1e-12
+"""Least 1 − s at which the other readings foretell one: rounding of s, some 1e-16, stays below a thousandth of it."""
+
 
 def estimate(features: Features, body: BodyModel, settings: Estimation, can: Capabilities) -> Estimate:
     """Estimate every pose's angles (P,M) rad and covariance from its own encoders and positions.
@@ -85,14 +88,21 @@ def _left_out(poses: Poses, at: Solved, rows: slice) -> tuple[Array, Array]:
     """Leave-one-out errors (P,D) of rows of readings, NaN where missing, and their predicted covariance (P,D,D).
 
     With H = J P Jᵀ, R the noise and r the residual, the one left out has the residual R (R − H)⁻¹ r, of covariance R (R
-    − H)⁻¹ R (Rasmussen & Williams 5.12 for one block).
+    − H)⁻¹ R (Rasmussen & Williams 5.12 for one block). By the eigenvalues s of H in units of R, 1 − s is how well the
+    others foretell it: where it is below LEAST_LEFT, the error is NaN, and the covariance the prior's.
     """
     jac, eye = at.jac[:, rows], np.eye(rows.stop - rows.start)
-    seen = seen_rows(poses.y[:, rows])[:, None, None]
     noise = at.var[:, None, rows] * eye
-    weighed = noise / np.maximum(at.weight[:, None, rows], 1e-12)
+    std = np.sqrt(at.var[:, rows] / np.maximum(at.weight[:, rows], 1e-12))
+    units = std[:, :, None] * std[:, None]
     inside = jac @ at.cov @ jac.swapaxes(1, 2)
-    gain = np.linalg.inv(np.where(seen, weighed - inside, eye))
-    left = (weighed @ gain @ at.r[:, rows, None])[..., 0]
-    cov = np.where(seen, weighed @ gain @ weighed - weighed + noise, inside + noise)
-    return np.where(seen[:, 0], left, np.nan), cov
+    share, axes = np.linalg.eigh(inside / units)
+    foretold = share[:, -1] <= 1.0 - LEAST_LEFT
+    left = np.maximum(1.0 - share, LEAST_LEFT)[:, None]
+    along = (at.r[:, rows] / std)[:, None] @ axes
+    error = std * ((along / left) @ axes.swapaxes(1, 2))[:, 0]
+    others = units * ((axes * (share[:, None] / left)) @ axes.swapaxes(1, 2))
+    prior = (jac * poses.span**2) @ jac.swapaxes(1, 2)
+    cov = np.where(foretold[:, None, None], others, prior)
+    known = foretold & seen_rows(poses.y[:, rows])
+    return np.where(known[:, None], error, np.nan), noise + cov
