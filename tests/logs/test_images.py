@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 from bodylog.errors import FormatError
 from bodylog.logs.decode.columns import definition_of
 from bodylog.logs.decode.layout import Picker
+from bodylog.logs.images.codecs import check_size
+from bodylog.logs.images.header_sizes import stated_size
 from bodylog.logs.images.messages import ENCODINGS, decoder, refusal
 from bodylog.types import Frame, Topic
 
@@ -411,3 +413,26 @@ def test_decoder_is_thread_safe():
         together = list(pool.map(lambda payload: read(payload, 2), payloads))
     for one, other in zip(alone, together, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("form", ["bmp", "tiff", "ppm", "pgm", "pbm"])
+def test_sizes_that_files_state_are_those_of_the_images(form):
+    for height, width in ((1, 1), (7, 300), (480, 640)):
+        image = np.zeros((height, width) if form in ("pgm", "pbm") else (height, width, 3), np.uint8)
+        data = cv2.imencode(f".{form}", image)[1].tobytes()
+        assert stated_size(memoryview(data)) == (height, width)
+
+
+def test_sizes_of_other_images_are_refused():
+    damaged = (b"", b"BM", b"II*\0" + bytes(50), b"P6 9", b"MM\0*\xff\xff\xff\xff")
+    for data in (*damaged, b"P7\nWIDTH 9", b"GIF89a" + bytes(50)):
+        with pytest.raises(FormatError):
+            check_size(*stated_size(memoryview(data)), 32.0)
+
+
+def test_a_tiff_states_the_size_of_its_tiles_too():
+    """A directory of one image of 16 x 16 px in tiles of 65535 x 65535."""
+    tags = ((256, 16), (257, 16), (322, 65535), (323, 65535))
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags)
+    data = b"II*\0" + struct.pack("<IH", 8, len(tags)) + entries + bytes(4)
+    assert stated_size(memoryview(data)) == (65535, 65535)

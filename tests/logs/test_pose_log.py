@@ -1,6 +1,7 @@
 """Tables of independent poses as logs: roles of columns, counts of rejects, and one-line refusals."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -117,6 +118,19 @@ def test_open_reads_images_beside_the_table(tmp_path):
     np.testing.assert_allclose(found.tracks["effector"].values, [[40, 30], [80, 60]], atol=0.3)
     assert read_.roles["camera"] == "/picture/compressed"
     assert any("1 images cannot be read: gone.png" in f.text and f.severity == "lost" for f in read_.findings)
+
+
+@pytest.mark.parametrize("form", ["bmp", "tiff", "ppm"])
+def test_an_image_that_states_too_many_pixels_is_not_decoded(tmp_path, monkeypatch, form):
+    cv2.imwrite(str(tmp_path / f"0.{form}"), np.zeros((100, 200, 3), np.uint8))
+    path = _csv(tmp_path, "picture,pan", f"0.{form},0.1", f"0.{form},0.2")
+    small = Settings(input=replace(Settings().input, max_image_mpx=0.01))
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("an image was decoded"))
+    with open_log(path, False, small.input) as log:
+        list(log.batches())
+        texts = [finding.text for finding in log.findings if finding.severity == "lost"]
+    asked = "an image of 200 x 100 pixels, more than 0.01 million; type in robot.toml: [input] max_image_mpx = 1"
+    assert any(f"0.{form}: {asked}" in text for text in texts)
 
 
 def test_ingest_keeps_poses_independent(table, tmp_path):

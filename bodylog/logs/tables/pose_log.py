@@ -5,12 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import BodylogError, LogError
+from ...errors import BodylogError, FormatError, LogError
 from ...io.contained import file_inside
 from ..decode.ros1_to_cdr import known_definition
 from ..encode import cdr
 from ..encode.cdr import CdrField
 from ..encode.schemas import definition
+from ..images.codecs import check_size
+from ..images.header_sizes import stated_size
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Outgoing, Topic
 from ..topic_names import TRACK, TRACK_NAMES, escape
@@ -36,6 +38,7 @@ class PoseLog:
             self.format = kind(path, stream.read(4)) or "csv"
         table = read(source, self.format, limits)
         self._strict, self._findings = strict, list[Finding]()
+        self._mpx = limits.max_image_mpx
         found = poses(table, str(path))
         self._add("info", *found.notes)
         self._add("warning", *table.odd)
@@ -134,7 +137,13 @@ class PoseLog:
             data = np.fromfile(file, np.uint8)
         except (OSError, ValueError):
             return None
-        return data if file.suffix.lower() in _AS_THEY_ARE else _as_png(data)
+        if file.suffix.lower() in _AS_THEY_ARE:
+            return data
+        try:
+            return _as_png(data, self._mpx)
+        except FormatError as problem:
+            self._add("lost", f"{name}: {problem}")
+            return None
 
 
 def image_files(path: Path) -> tuple[Path, ...]:
@@ -148,9 +157,11 @@ def image_files(path: Path) -> tuple[Path, ...]:
     return tuple(path.parent / str(name) for files in found.values() for name in files.tolist() if name)
 
 
-def _as_png(data: Array) -> Array | None:
+def _as_png(data: Array, mpx: float) -> Array | None:
+    """An image as PNG, None where it cannot be decoded; FormatError where it states more than `mpx` million pixels."""
     import cv2
 
+    check_size(*stated_size(memoryview(data.tobytes())), mpx)
     image = cv2.imdecode(data, cv2.IMREAD_COLOR)
     return None if image is None else np.asarray(cv2.imencode(".png", image)[1]).reshape(-1)
 
