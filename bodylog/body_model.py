@@ -6,6 +6,11 @@ from typing import Any, Protocol
 
 from .logs.records import Array
 
+UNUSED_URDF = "unused_urdf"
+"""In a body's provenance: why the URDF that it was given is not used."""
+WITHOUT_URDF = "or type --no-urdf"
+"""What else to do where a URDF does not fit: the end of the remark that it is not used."""
+
 
 class ForwardModel(Protocol):
     """What one sense is expected to read, given joint angles."""

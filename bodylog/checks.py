@@ -10,9 +10,11 @@ from .body_model import BodyModel
 from .errors import ConfigError, EvidenceError, InputError, LogError, ModelError
 from .io.atomic_files import require_regular
 from .io.outputs import Output, guard
+from .robot_model import UNUSABLE_URDF
 from .settings import Colours, Settings
 from .sources import TableSource, feature_of, group_of
 from .types import Features, Finding, Health, Recording
+from .wording import listed
 
 
 def distinct(read: Sequence[Path], write: Iterable[Output], settings: Settings | None = None) -> None:
@@ -53,6 +55,39 @@ def require_trainable(log: Path, found: Features, settings: Settings) -> None:
         raise LogError(f'{log}: [topics] reference = "{topic}", but it has no such topic; type: bodylog info {log}')
     needed = {"effector", *settings.features} - {"hand"}
     require_tracks(log, {n: h for n, h in found.health.items() if feature_of(n) in needed}, found, settings)
+
+
+def require_sights(logs: Sequence[Path], observed: Sequence[tuple[Recording, Features]]) -> None:
+    """EvidenceError where no log has images or tracks: what the first one has, and what to add."""
+    if any(found.tracks or read.frames is not None for read, found in observed):
+        return
+    read, found = observed[0]
+    with log_context(logs[0], read.findings, len(logs) - 1):
+        what = f"no images and no tracks in it, only {_joints(found)}"
+        learned_from = "a body is learned from joints and what a camera sees of the arm"
+        raise EvidenceError(f"{what}; {learned_from}{_sights_to_add(logs[0], read)}")
+
+
+def _joints(found: Features) -> str:
+    assert found.joints is not None
+    names, times = found.joints.names, found.joints.t
+    length = f"in {len(times)} poses" if found.poses else f"for {times[-1] - times[0]:.1f} s"
+    return f"{len(names)} joint{'s' * (len(names) != 1)} ({listed(names)}) {length}"
+
+
+def _sights_to_add(log: Path, read: Recording) -> str:
+    """What to add to a log without images; "" where what it lost says so."""
+    from .logs.images.messages import PACKETS, is_packets
+
+    if loss_note(log, read.findings):
+        return ""
+    if read.poses:
+        return ": add columns NAME_u and NAME_v (px) of a marker, or of names of image files beside the table"
+    if packed := next((topic.name for topic in read.topics if is_packets(topic)), None):
+        return f"; {packed} holds {PACKETS}"
+    film = '[topics] camera = "file.mp4"'
+    alone = f"for the joints alone, type: bodylog estimate {log} -o out.mcap"
+    return f": record a camera's topic too, or name a video beside the log, {film}; {alone}"
 
 
 def to_learn(features: Sequence[Features], settings: Settings) -> list[Features]:
@@ -132,6 +167,7 @@ def log_context(log: Path, findings: Iterable[Finding] = (), others: int = 0) ->
 
 
 def loss_note(log: Path, findings: Iterable[Finding]) -> str:
-    """A log's losses and unusable messages, for the end of an error that they may explain."""
-    texts = (f.text for f in findings if f.severity == "lost" or "no usable message" in f.text)
+    """A log's losses, unusable messages and unusable URDF, for the end of an error that they may explain."""
+    causes = ("no usable message", UNUSABLE_URDF)
+    texts = (f.text for f in findings if f.severity == "lost" or any(cause in f.text for cause in causes))
     return "".join(f"; {text.removeprefix(f'{log}: ')}" for text in texts)

@@ -2,9 +2,14 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from .body_model import BodyModel
 from .evaluation.figures import FIRST
+from .settings import Settings, wanted
+from .sources import described, feature_of
 from .types import Estimate, Fault, Features, Finding, Series
-from .wording import quantity
+from .wording import listed, quantity
 
 
 def fault_warnings(faults: Sequence[Fault]) -> tuple[Finding, ...]:
@@ -36,6 +41,26 @@ def sighting_findings(found: Features) -> tuple[Finding, ...]:
     from .body.data import trainable
 
     return tuple(Finding("info", f"{name}: {trainable.seen([found], name)}") for name in found.tracks)
+
+
+def unseen_findings(found: Estimate, features: Features, body: BodyModel, settings: Settings) -> tuple[Finding, ...]:
+    """What the body looks for and no image shows; "lost" where nothing else of the body is seen."""
+    looked = {name: health.seen for name, health in found.used.items() if name in body.senses and name != "encoders"}
+    seen = {name for name in looked if name in features.tracks and np.isfinite(features.tracks[name].values).any()}
+    sources, unseen = wanted(settings), dict[str, int]()
+    for name in looked.keys() - seen:
+        if looked[name]:
+            unseen[feature_of(name)] = max(unseen.get(feature_of(name), 0), looked[name])
+    unseen = {name: count for name, count in unseen.items() if name not in map(feature_of, seen)}
+    if not unseen:
+        return ()
+    count = max(unseen.values())
+    things = [f"{described(sources[name])} ({name})" if name in sources else name for name in sorted(unseen)]
+    never = "they were never seen" if things[1:] else "it was never seen"
+    text = f"the body looks for {listed(things)}; {never} in {count} images"
+    if seen:
+        return (Finding("warning", text),)
+    return (Finding("lost", f"{text}: the estimate is of the encoders alone"),)
 
 
 def truth_findings(found: Estimate, truth: Series | None) -> tuple[Finding, ...]:

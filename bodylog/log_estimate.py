@@ -6,14 +6,18 @@ from pathlib import Path
 from . import change_findings, effector_poses
 from .body_model import BodyModel
 from .checks import log_context, require_tracks
+from .fault_findings import unseen_findings
 from .settings import Settings
 from .types import Estimate, Features, Finding, Recording
 
 
 def estimate_log(
-    log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings
+    log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings, typed: Settings
 ) -> Estimate:
-    """`infer` and the checks around it; errors name the log and what it lost."""
+    """`infer` and the checks around it; errors name the log and what it lost.
+
+    settings: with the features of the body where the user named none · typed: as the user gave them.
+    """
     from .misfit import doubted, find_misfit, from_many_faults
 
     chosen = settings.estimate, settings.time.delay
@@ -25,9 +29,11 @@ def estimate_log(
         if misfit is not None:
             found = doubted(infer_from_encoders(features, learned, settings), features, misfit)
         found = effector_poses.added(learned, found)
-    if misfit is None:
-        require_tracks(log, found.used, features, settings, "; or go on with the rest: --without {}")
-    return found
+    if misfit is not None:
+        return found
+    require_tracks(log, found.used, features, typed, "; or go on with the rest: --without {}")
+    unseen = unseen_findings(found, features, learned, settings)
+    return replace(found, findings=(*found.findings, *unseen))
 
 
 def infer_from_encoders(features: Features, learned: BodyModel, settings: Settings) -> Estimate:

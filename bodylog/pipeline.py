@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from . import default_features, learned_tests, verdict
-from .checks import distinct, log_context, require_features, require_trainable, same_camera, same_size, to_learn
+from .checks import (
+    distinct,
+    log_context,
+    require_features,
+    require_sights,
+    require_trainable,
+    same_camera,
+    same_size,
+    to_learn,
+)
 from .errors import UsageError
 from .fault_findings import fault_warnings, sighting_findings, truth_findings
 from .io.atomic_files import sha256
@@ -119,12 +128,14 @@ def fit(
     for log, (read, found) in zip(logs, observed, strict=True):
         require_trainable(log, found, settings)
         camera_findings += same_camera(log, cameras, read, found)
+    if known is None:
+        require_sights(logs, observed)
     origin = provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
     robot, unfit = robot_model.robot(logs, features, settings)
     features, not_joints = robot_model.joints_of_urdf(features, robot)
     settings = robot_model.with_coordinates(settings, robot)
-    with log_context(logs[0], findings, len(logs) - 1):
+    with log_context(logs[0], [*findings, *unfit], len(logs) - 1):
         learned = camera_delay.learned(features, settings, origin, known, robot)
     learned = replace(learned, model=robot_model.based(learned.model, robot, features))
     tested, more = learned_tests.score(learned.model, [(log, *observe(log, settings, progress)) for log in test])
@@ -154,6 +165,7 @@ def estimate(
     from .body import storage
 
     distinct([log, *(robot_model.urdf_files(settings) if body is None else [body])], [Output(out)], settings)
+    typed = settings
     known = None if body is None else storage.load(body)
     if known is not None:
         settings = default_features.of_body(known, settings)
@@ -164,7 +176,7 @@ def estimate(
         written.copy()
         cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
         same_size(log, learned, features, settings)
-        found = estimate_log(log, read, features, learned, settings)
+        found = estimate_log(log, read, features, learned, settings, typed)
         lost = written.add(estimate_messages(read, features, found))
         read = with_true_poses(log, found, read)
         scores = score_estimate(found, read)

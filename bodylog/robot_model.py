@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 FROM_LOG = "log"
 """Stands for the log's own /robot_description."""
+UNUSABLE_URDF = "the log's URDF is not used"
+"""In the finding on a log's own URDF that cannot be read."""
 
 
 def urdf_files(settings: Settings) -> tuple[Path, ...]:
@@ -58,7 +60,7 @@ def robot(
         except (FormatError, ModelError) as problem:
             if chosen.urdf is not None:
                 raise
-            return None, (Finding("warning", f"{problem}; the log's URDF is not used"),)
+            return None, (Finding("warning", f"{problem}; {UNUSABLE_URDF}"),)
     elif chosen.urdf is None:
         return None, ()
     else:

@@ -174,6 +174,25 @@ def track_names(name: str, source: Source) -> tuple[str, ...]:
     return (name,)
 
 
+def described(source: Source) -> str:
+    """What a source looks for, for people: "tag 7 of apriltag_36h11"."""
+    match source:
+        case TagSource():
+            return f"tag {source.tag} of {source.dictionary}"
+        case CharucoSource():
+            return f"a {source.charuco} ChArUco board of {source.dictionary}"
+        case ColourSource(colour=str()):
+            return f"something {source.colour}"
+        case ColourSource():
+            return "its colour"
+        case PointSource():
+            return f"the patch around ({source.point[0]:g}, {source.point[1]:g}) px"
+        case TopicSource():
+            return f"points on {source.topic}"
+        case TableSource():
+            return f"places in {source.table}"
+
+
 def feature_of(track: str) -> str:
     """The feature that a track belongs to: `wrist` of `wrist`, `wrist.2` and `side/wrist.2`."""
     return track.rpartition("/")[2].partition(".")[0]

@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from ..body_model import BodyModel
+from ..body_model import UNUSED_URDF, WITHOUT_URDF, BodyModel
+from ..errors import EvidenceError
 from ..settings import Settings
-from ..types import Features
+from ..types import Features, Finding
 from .senses.encoder_function import Polynomial
 
 if TYPE_CHECKING:
@@ -15,15 +16,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Polynomial", "learn", "with_kinematics"]
 
+NAME_URDF = "give the robot's URDF with --urdf"
+"""What to do where no URDF was given."""
+
 
 def learn(
     features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None,
-    keep: "Keep" = "explained",
+    keep: "Keep" = "explained", advice: str = "",
 ) -> "Learned":  # fmt: skip
     """Call `learning.learn`; the import is late, since predicting needs none of it."""
     from . import learning
 
-    return learning.learn(features, settings, provenance, update, keep)
+    return learning.learn(features, settings, provenance, update, keep, advice)
 
 
 def with_kinematics(
@@ -38,10 +42,37 @@ def with_kinematics(
     doubtful = {**found.poor, **found.vague}
     judged = replace(found, poor=doubtful) if found.vague else found
     with_it = _with_kinematics(features, settings, judged, robot, update)
-    if with_it.model is not found.model or not doubtful:
+    if with_it.model is not found.model:
         return with_it
-    plain = learn(features, settings, found.model.provenance, update, "telling")
-    return replace(plain, findings=(*plain.findings, *with_it.findings[len(found.findings) :]))
+    unused = with_it.findings[len(found.findings) :]
+    if not doubtful:
+        return _remembering(with_it, unused)
+    try:
+        plain = learn(features, settings, found.model.provenance, update, "telling", _advice(settings, robot))
+    except EvidenceError as problem:
+        raise EvidenceError("; ".join([str(problem), *map(_why, unused)])) from problem
+    return _remembering(replace(plain, findings=(*plain.findings, *unused)), unused)
+
+
+def _advice(settings: Settings, robot: "Robotics | None") -> str:
+    """What to do about a track that tells nothing: another URDF is no advice to who gave one."""
+    more = "record more poses"
+    if robot is not None:
+        return more
+    return f"{more}, or {NAME_URDF if settings.kinematics.use else 'leave out --no-urdf'}"
+
+
+def _remembering(found: "Learned", unused: Sequence[Finding]) -> "Learned":
+    """The body, which knows why a URDF that it was given is not used."""
+    if not unused:
+        return found
+    provenance = {**found.model.provenance, UNUSED_URDF: _why(unused[0])}
+    return replace(found, model=replace(found.model, provenance=provenance))
+
+
+def _why(unused: Finding) -> str:
+    """Why a URDF is not used, without the advice to leave it out, of no use where a URDF is needed."""
+    return unused.text.removesuffix(f", {WITHOUT_URDF}")
 
 
 def _with_kinematics(

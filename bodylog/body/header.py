@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..body_model import BodyModel, Noise, TouchConstants
+from ..body_model import UNUSED_URDF, BodyModel, Noise, TouchConstants
 from ..errors import ModelError
 from ..io.values import read_json, text
 from .gp.model import GP
@@ -129,6 +129,8 @@ def _provenance(found: Any) -> dict[str, Any]:
     provenance = dict(found)
     if "cameras" in provenance:
         provenance["cameras"] = list(_texts("provenance.cameras", provenance["cameras"]))
+    if not isinstance(provenance.get(UNUSED_URDF, ""), str):
+        raise ValueError(f"provenance.{UNUSED_URDF}: found {provenance[UNUSED_URDF]!r:.200}, possible: a text")
     if "pose_std" in provenance:
         std = _floats("provenance.pose_std", provenance["pose_std"])
         if any(value < 0.0 for value in std):

@@ -55,14 +55,16 @@ class Learned:
 @one_thread("scipy.linalg")
 def learn(
     features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None,
-    keep: Keep = "explained",
+    keep: Keep = "explained", advice: str = "",
 ) -> Learned:  # fmt: skip
     """Learn a body model from the features of one or many exploration logs.
 
     A body to update keeps its joints, its given senses, and touch unless a log has touches; its own samples count as
-    one more log. `keep`: see `Keep`. Where logs have a reference,
-    its angles are used and the encoders' function is learned as well. LogError without joints, ConfigError for an
-    unknown joint, ModelError for another robot's body, EvidenceError when nothing was seen or moved.
+    one more log. `keep`: see `Keep` · advice: what to do about a track that tells nothing. Where logs have a
+    reference, its angles are used and the encoders' function is learned as well.
+
+    LogError without joints, ConfigError for an unknown joint, ModelError for another robot's body, EvidenceError when
+    nothing was seen or moved.
     """
     features, absurd = plausible(features)
     wanted = settings.body.joints if update is None else _same(features, update)
@@ -74,7 +76,7 @@ def learn(
     chosen, unseen = (chosen, []) if wanted else select_joints(features, chosen, settings.fit)
     corners = _corners(features) if keep == "all" else {}
     tracks = dict(_tracks(features, chosen, settings.fit, update))
-    senses, poor, vague = _senses(tracks, chosen, settings.fit, keep, corners)
+    senses, poor, vague = _senses(tracks, chosen, settings.fit, keep, corners, advice)
     if not senses:
         raise EvidenceError(_refusal(features, poor, chosen))
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
@@ -149,11 +151,12 @@ def _posed(learned: Noise, senses: Mapping[str, track.Sense], count: int) -> tup
 
 
 def _senses(
-    tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit, keep: Keep, corners: Mapping[str, str]
+    tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit, keep: Keep, corners: Mapping[str, str],
+    advice: str,
 ) -> tuple[dict[str, track.Sense], dict[str, str], dict[str, str]]:  # fmt: skip
     """Each track's model, the reasons why others have none or a poor one, and why models that are kept are vague.
 
-    corners: tracks that a URDF joins to boards.
+    corners: tracks that a URDF joins to boards · advice: what to do about a track that tells nothing.
     """
     found, poor, vague = dict[str, track.Sense](), dict[str, str](), dict[str, str]()
     for name, part in tracks.items():
@@ -170,7 +173,7 @@ def _senses(
             reason = trainable.unexplained(found[name])
             hidden = None if reason else trainable.vague(found[name], chosen)
             if hidden and keep == "telling":
-                reason = hidden
+                reason = f"{hidden}: {advice}" if advice else hidden
             elif hidden:
                 vague[name] = hidden
         if reason is not None:

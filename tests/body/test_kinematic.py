@@ -12,6 +12,7 @@ from bodylog.body.gp.model import GP, se
 from bodylog.body.kinematic.explicit import Rows, evidence, held_out, solved
 from bodylog.body.kinematic.learn import Robotics, learn
 from bodylog.body.kinematic.model import KinematicGP
+from bodylog.body_model import UNUSED_URDF
 from bodylog.errors import ModelError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.links import CameraHint
@@ -261,3 +262,9 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, run_cli, caps
     capsys.readouterr()
     assert run_cli("offsets", tmp_path / "plain.npz") == 65
     assert "type: bodylog fit LOG --urdf" in capsys.readouterr().err
+    known = replace(plain.model, provenance={UNUSED_URDF: "the URDF is not used: it is another robot's"})
+    files.save(known, tmp_path / "plain.npz")
+    for command in ("offsets", "calibration"):
+        assert run_cli(command, tmp_path / "plain.npz") == 65
+        printed = capsys.readouterr().err
+        assert ", as the URDF is not used: it is another robot's\n" in printed and "fit LOG --urdf" not in printed

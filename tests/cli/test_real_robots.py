@@ -28,9 +28,21 @@ def test_a_body_that_knows_nothing_is_refused(real, tmp_path, run_cli, capsys) -
     body = tmp_path / "body.npz"
     assert run_cli("fit", real / "panda" / "real_new" / "poses.csv", "-o", body) == 65
     text = capsys.readouterr().err
-    assert "one image shows no joint's error below 11°" in text and "--urdf" in text
+    assert "one image shows no joint's error below 11°" in text
+    assert "record more poses, or give the robot's URDF with --urdf" in text
     assert not body.exists()
 
+
+def test_who_gave_a_urdf_is_told_why_it_did_not_help(real, tmp_path, run_cli, capsys) -> None:
+    panda, other = real / "panda", tmp_path / "other.urdf"
+    other.write_text((panda / "panda.urdf").read_text().replace("0 -0.316 0", "0 -3.16 0"))
+    typed = ("fit", panda / "real_new" / "poses.csv", "-o", tmp_path / "body.npz")
+    assert run_cli(*typed, "--urdf", other) == 65
+    (text,) = capsys.readouterr().err.splitlines()[-1:]
+    assert "one image shows no joint's error below" in text and "or give the robot's URDF" not in text
+    assert "; the URDF is not used: " in text and "--no-urdf" not in text
+    assert run_cli(*typed, "--no-urdf") == 65
+    assert "record more poses, or leave out --no-urdf" in capsys.readouterr().err
 
 @pytest.mark.parametrize("episode", [0, 1])
 def test_encoders_that_count_do_not_jump_where_they_step(real, tmp_path, run_cli, capsys, episode) -> None:

@@ -1,13 +1,18 @@
 """What cannot be used is refused in one line that begins with the file."""
 
+import json
 import os
+import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ..logs.writing import T0, camera, compressed, joint_state, joints, write
+from bodylog.body import storage
+
+from ..logs.writing import T0, Stream, camera, cdr, compressed, define, joint_state, joints, write
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 
@@ -29,13 +34,15 @@ def logs(tmp_path):
     _log(tmp_path / "still.mcap", count=1)
     _log(tmp_path / "other.mcap", names=(JOINTS[0], "knee"))
     _log(tmp_path / "grey.mcap", names=(), count=9, picture=grey)
+    rows = "".join(f"{0.1 * k},{0.2 * k}\n" for k in range(3))
+    (tmp_path / "poses.csv").write_text(f"pan,lift\n{rows}")
     return tmp_path
 
 
 CASES = {
-    "fit blind.mcap -o out.npz": "{0}/blind.mcap: no track to learn from, though 3 joints moved (",
+    "fit blind.mcap -o out.npz": "{0}/blind.mcap: no images and no tracks in it, only 3 joints (",
     "fit blind.mcap still.mcap -o out.npz": "{0}/blind.mcap and 1 more: no ",
-    "fit still.mcap -o out.npz": "{0}/still.mcap: no track to learn from, and no joint moved; type: ",
+    "fit poses.csv -o out.npz": "{0}/poses.csv: no images and no tracks in it, only 2 joints (pan, lift) in 3 poses; ",
     "compare other.mcap --body body.npz": "{0}/other.mcap: joints: the body model knows ",
     "colours blind.mcap": "{0}/blind.mcap: no pictures to look for features in; type: ",
     "colours grey.mcap -o out.png": "{0}/grey.mcap: no tag and no colour in ",
@@ -53,6 +60,36 @@ def test_refusal_begins_with_the_log(capsys, run_cli, robot, logs, typed):
     printed = capsys.readouterr().err
     assert printed.count("\n") == 1 and printed.startswith("bodylog: " + CASES[typed].format(logs)), printed
     assert not list(logs.glob("out*"))
+
+
+def test_fit_says_what_a_log_without_images_lacks(tmp_path, capsys, run_cli, logs):
+    blind, poses = logs / "blind.mcap", logs / "poses.csv"
+    kind = "foxglove_msgs/msg/CompressedVideo"
+    packets = Stream("/film", kind, define("std_msgs/msg/String"), [(T0, cdr("std_msgs/msg/String", data="x"))])
+    stream = joints("/joint_states", [(T0 + k, joint_state(T0 + k, ("pan",), [0.1 * k])) for k in range(9)])
+    film = write(tmp_path / "film.mcap", [stream, packets])
+    said = {
+        blind: (" for 4.0 s; a body is learned from joints and ", f"type: bodylog estimate {blind} -o out.mcap\n"),
+        poses: (" in 3 poses; ", ": add columns NAME_u and NAME_v (px) of a marker, or "),
+        film: ("only 1 joint (pan)", "; /film holds a video's packets, not images; "),
+    }
+    for log, texts in said.items():
+        capsys.readouterr()
+        assert run_cli("fit", log, "-o", tmp_path / "out.npz") == 65
+        printed = capsys.readouterr().err
+        assert printed.count("\n") == 1 and all(text in printed for text in texts), printed
+
+
+def test_fit_of_a_dataset_without_its_videos_names_them(tmp_path, capsys, run_cli):
+    from ..logs.datasets import drawn
+
+    dataset = drawn.v21(tmp_path / "arm", [60])
+    shutil.rmtree(dataset / "videos")
+    capsys.readouterr()
+    assert run_cli("fit", dataset, "-o", tmp_path / "out.npz") == 65
+    printed = capsys.readouterr().err.splitlines()[-1]
+    assert "no images and no tracks in it, only 3 joints" in printed
+    assert printed.endswith(".mp4: there is no such file; is the dataset downloaded completely?")
 
 
 @pytest.mark.parametrize(
@@ -73,3 +110,21 @@ def test_pipe_is_refused_without_waiting(tmp_path, robot, typed):
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 65
     assert f"{tmp_path / 'pipe.mcap'}: is a pipe or device" in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("thing", ["something green", "tag 7 of apriltag_36h11"])
+def test_estimate_says_what_the_body_looks_for_and_never_sees(tmp_path, capsys, run_cli, robot, thing):
+    body, bare = storage.load(robot / "body.npz"), np.full((120, 160, 3), 90, np.uint8)
+    log = _log(tmp_path / "bare.mcap", count=60, picture=bare)
+    if "tag" in thing:
+        settings = json.loads(body.provenance["settings"]) | {"features": {"effector": {"tag": 7}}}
+        body = replace(body, provenance={**body.provenance, "settings": json.dumps(settings)})
+    storage.save(body, tmp_path / "body.npz")
+    capsys.readouterr()
+    typed = ("estimate", log, "--body", tmp_path / "body.npz", "-o", tmp_path / "out.mcap")
+    assert run_cli(*typed) == 3
+    printed = capsys.readouterr().err
+    told = f"lost: the body looks for {thing} (effector); it was never seen in 60 images: "
+    assert f"{told}the estimate is of the encoders alone\n" in printed
+    assert run_cli(*typed, "--without", "vision") == 0
+    assert "never seen" not in capsys.readouterr().err

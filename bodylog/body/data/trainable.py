@@ -51,6 +51,7 @@ def unexplained(found: Sense) -> str | None:
 def vague(found: Sense, chosen: Sequence[Joint]) -> str | None:
     """Why a learned track tells nothing about the joints; None where one image shows an offset of some joint.
 
+
     To be asked once delays are corrected: a late camera makes any track vague.
     """
     angle = visible_angle(found)
@@ -63,7 +64,7 @@ def vague(found: Sense, chosen: Sequence[Joint]) -> str | None:
     return (
         f"joints predict its {len(found.residual)} sightings, held out, to {error:.1f} px, so that one image shows no "
         f"joint's error below {np.degrees(shares[best]):.0f}° (zeros are usually off by less than "
-        f"{np.degrees(HOMING_ERROR):.0f}°): record more poses, or give the robot's URDF with --urdf"
+        f"{np.degrees(HOMING_ERROR):.0f}°)"
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...body_model import WITHOUT_URDF
 from ...errors import ModelError
 from ...kinematics import identifiability
 from ...kinematics.links import CameraHint, Found, Track, find
@@ -130,7 +131,7 @@ def still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float
 
 def unused(found: Learned, why: str, advice: str = "give this robot's own with --urdf") -> Learned:
     """Return the body without a URDF, with a remark on why."""
-    text = f"the URDF is not used: {why}; {advice}, or type --no-urdf"
+    text = f"the URDF is not used: {why}; {advice}, {WITHOUT_URDF}"
     return replace(found, findings=(*found.findings, Finding("warning", text)))
 
 

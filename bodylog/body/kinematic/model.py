@@ -6,7 +6,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from ...body_model import BodyModel
+from ...body_model import UNUSED_URDF, BodyModel
+from ...errors import ModelError
 from ...kinematics.instant import Instant, instant
 from ...kinematics.pose import Base
 from ...kinematics.rig import Rig, Seen
@@ -128,3 +129,13 @@ class KinematicGP(GP):
 def comparable(body: BodyModel) -> bool:
     """Whether a body can show changes: it was learned with a URDF, and its encoders read angles."""
     return "encoders" not in body.senses and any(isinstance(s, KinematicGP) for s in body.senses.values())
+
+
+def kinematic_senses(body: BodyModel, lacking: str) -> dict[str, KinematicGP]:
+    """The senses with a URDF's chain; ModelError without any: what is lacking, and why the URDF given is not used."""
+    senses = {name: sense for name, sense in body.senses.items() if isinstance(sense, KinematicGP)}
+    if not senses:
+        why = body.provenance.get(UNUSED_URDF)
+        todo = f"as {why}" if why else "type: bodylog fit LOG --urdf ROBOT.urdf"
+        raise ModelError(f"learned without a URDF, so without {lacking}{', ' if why else '; '}{todo}")
+    return senses

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...body_model import BodyModel
-from ...errors import EvidenceError, ModelError
+from ...errors import EvidenceError
 from ...kinematics.robot import Limits
 from ...types import Array
 from ..gp.model import GP
-from .model import KinematicGP
-from .placements import IMAGE_SIZES
+from .model import KinematicGP, kinematic_senses
+from .placements import CALIBRATION, IMAGE_SIZES
 
 CANDIDATES = 2000
 """Random postures that are weighed."""
@@ -49,7 +49,7 @@ def propose(body: BodyModel, count: int, candidates: Array) -> Proposal:
     summed over all postures (I-optimality; Fedorov 1972): what serves predictions, while D-optimality would serve θ,
     whose directions matter unequally. EvidenceError where too few are visible.
     """
-    senses = kinematic_senses(body)
+    senses = kinematic_senses(body, CALIBRATION)
     shown = [visible(body, sense, candidates) for sense in senses.values()]
     seen = np.flatnonzero(np.any(shown, axis=0))
     if len(seen) < count:
@@ -120,17 +120,9 @@ def _std(covariance: Array, known: Array) -> float:
     return float(np.sqrt(max(float(np.diag(covariance)[known].mean()), 0.0)))
 
 
-def kinematic_senses(body: BodyModel) -> dict[str, KinematicGP]:
-    """The senses with a URDF's chain; ModelError without any."""
-    senses = {name: sense for name, sense in body.senses.items() if isinstance(sense, KinematicGP)}
-    if not senses:
-        raise ModelError("learned without a URDF, so without a calibration; type: bodylog fit LOG --urdf ROBOT.urdf")
-    return senses
-
-
 def random_postures(body: BodyModel, limits: Mapping[str, Limits]) -> Array:
     """Postures (K,M) within the joints' limits, or within the explored range of a joint without limits."""
-    samples = np.concatenate([sense.samples for sense in kinematic_senses(body).values()])
+    samples = np.concatenate([sense.samples for sense in kinematic_senses(body, CALIBRATION).values()])
     low = samples.min(axis=0)
     high = samples.max(axis=0)
     for m, joint in enumerate(body.joints):

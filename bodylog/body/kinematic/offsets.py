@@ -3,9 +3,8 @@
 from typing import Any
 
 from ...body_model import BodyModel
-from ...errors import ModelError
 from ...kinematics.identifiability import Offset, offsets, scales
-from .model import KinematicGP
+from .model import KinematicGP, kinematic_senses
 
 
 def learned(model: BodyModel) -> tuple[Offset, ...]:
@@ -21,10 +20,7 @@ def scaled(model: BodyModel) -> tuple[Offset, ...]:
 
 
 def _first(model: BodyModel) -> KinematicGP:
-    senses = [sense for sense in model.senses.values() if isinstance(sense, KinematicGP)]
-    if not senses:
-        raise ModelError("learned without a URDF, so without joint offsets; type: bodylog fit LOG --urdf ROBOT.urdf")
-    return senses[0]
+    return next(iter(kinematic_senses(model, "joint offsets").values()))
 
 
 def plain(found: "tuple[Offset, ...]") -> dict[str, dict[str, Any]]:

@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 
 from ...body_model import BodyModel
-from ...errors import ModelError
 from ...kinematics import identifiability
 from ...kinematics.identifiability import Offset
 from ...kinematics.rig import Rig
 from ...kinematics.rotations import inverse, logarithm
 from ...logs.tables.frame_columns import frame_of
 from ...types import Array, Finding
-from .model import KinematicGP
+from .model import kinematic_senses
 
 WORST_PLACE_M = 0.1
 """Largest std of a place that is identifiable: a third of the prior of a marker's place, 0.3 m."""
@@ -100,11 +99,13 @@ class Calibration:
     earlier: tuple[Placement, ...] = ()
 
 
+CALIBRATION = "a calibration"
+"""What a body without a URDF lacks."""
+
+
 def calibration(model: BodyModel) -> Calibration:
     """The calibration of a body; ModelError where it was learned without a URDF."""
-    senses = [sense for sense in model.senses.values() if isinstance(sense, KinematicGP)]
-    if not senses:
-        raise ModelError("learned without a URDF, so without a calibration; type: bodylog fit LOG --urdf ROBOT.urdf")
+    senses = list(kinematic_senses(model, CALIBRATION).values())
     first = senses[0]
     covariance = first.root @ first.root.T
     every_zero = identifiability.offsets(first.rig, first.theta, covariance)
