@@ -80,6 +80,7 @@ def _chosen(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[S
         text += f"type: bodylog features {log} -o sheet.png"
         return settings, (Finding("warning", text),)
     arm = survey.arm
+    assert arm.explained is not None  # what moves as the joints do is explained by them
     text = f"{default}; {arm.name} is: in {arm.seen:.0%} of {survey.count} images, the joints explain "
     text += f"{arm.explained:.0%} of its motion; ready for robot.toml: [features] {toml_line('effector', arm.source)}"
     findings = Finding("info", text), Finding("info", f"effector: not followed: {others}")

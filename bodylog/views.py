@@ -292,7 +292,8 @@ def _offered(one: "Candidate", arm: bool) -> dict[str, Any]:
 
 
 def _caption(row: Mapping[str, Any]) -> str:
-    text = f"{row['name']}: in {row['seen']:.0%} of the images, joints explain {row['explained']:.0%}"
+    explained = "" if row["explained"] is None else f", joints explain {row['explained']:.0%}"
+    text = f"{row['name']}: in {row['seen']:.0%} of the images{explained}"
     also = "also moves as the joints do" if row["why_not"] is None else row["why_not"]
     return f"{text}; the arm's: {row['line']}" if row["arm"] else f"{text}; {also}"
 

@@ -61,14 +61,10 @@ def _print(found: "Offered") -> None:
         line(f"{one['line']}  # {one['name']}{mark}")
 
 
-_NOT_JUDGED = ("seen in", "no joint moves", "it stands still")
-"""How the reasons begin for which no share of motion is computed."""
-
-
 def _row(one: dict[str, Any]) -> tuple[str, ...]:
     also = one["why_not"] or "also moves as the joints do"
-    judged = not also.startswith(_NOT_JUDGED)
-    figures = f"{one['seen']:.0%}", f"{one['strays_px']:.0f} px", f"{one['explained']:.0%}" if judged else "-"
+    explained = "-" if one["explained"] is None else f"{one['explained']:.0%}"
+    figures = f"{one['seen']:.0%}", f"{one['strays_px']:.0f} px", explained
     return one["name"], *figures, "the arm's" if one["arm"] else also
 
 

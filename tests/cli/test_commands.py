@@ -5,6 +5,8 @@ import shutil
 
 import pytest
 
+from .spoilt import spoil
+
 
 def _printed(capsys, code, run_cli, *arguments):
     """What was said on standard error by a command that ends with `code`, which is one line when it fails."""
@@ -265,6 +267,45 @@ def test_features_and_colours_list_the_arms_target_first(tmp_path, capsys, run_c
         assert first["name"] == "green" and first["arm"] and first["explained"] > 0.9
         assert first["line"].startswith("effector = {low = [")
         assert sheet.read_bytes().startswith(b"\x89PNG")
+
+
+def test_features_explains_its_columns_and_prints_lines_to_paste(tmp_path, capsys, run_cli, robot):
+    from bodylog.config import load
+
+    capsys.readouterr()
+    assert run_cli("features", robot / "explore.mcap") == 0
+    head, _, *rows = capsys.readouterr().out.splitlines()
+    assert head.endswith("looked at; moves by: standard deviation of its place; -: not computed")
+    at = rows.index("# paste one of these lines under [features] in robot.toml")
+    assert len(rows[:at]) == len(rows[at + 1 :]) and not any(line.startswith("#") for line in rows[at + 1 :])
+    (tmp_path / "robot.toml").write_text("\n".join(["[features]", rows[at + 1]]))
+    assert load(tmp_path / "robot.toml").features.keys() == {"effector"}
+
+
+def test_features_shows_no_share_where_none_is_computed(tmp_path, capsys, run_cli, robot):
+    def kept(topic):
+        return "joint" not in topic
+
+    still = spoil(robot / "explore.mcap", tmp_path / "still.mcap", lambda *_: None, 9.0, kept)
+    capsys.readouterr()
+    assert run_cli("features", still) == 0
+    (green,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("green ")]
+    assert green.split()[4:] == ["-", "no", "joint", "moves"]
+    assert run_cli("features", still, "--json") == 0
+    candidates = json.loads(capsys.readouterr().out)["results"][0]["candidates"]
+    assert candidates and all(one["explained"] is None for one in candidates)
+
+
+def test_plot_and_features_give_the_same_advice(tmp_path, capsys, run_cli, robot):
+    """The line for robot.toml that `plot` prints of a log whose marker is not the default one is that of `features`."""
+    log = tmp_path / "arm.mcap"
+    drawn = ("--duration", 8, "--seed", 3, "--size", "320x240", "--feature", "tag")
+    assert run_cli("record", "babble", "-o", log, *drawn) == 0
+    capsys.readouterr()
+    assert run_cli("features", log, "--json") == 0
+    first = json.loads(capsys.readouterr().out)["results"][0]["candidates"][0]
+    assert run_cli("plot", log, "-o", tmp_path / "arm.png", "-v") == 0
+    assert f"ready for robot.toml: [features] {first['line']}" in capsys.readouterr().err
 
 
 def test_record_writes_the_same_bytes_twice(tmp_path, run_cli, robot):

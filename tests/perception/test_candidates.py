@@ -91,7 +91,7 @@ def test_readings_that_are_none_do_not_count_against_the_others() -> None:
     some = replace(whole.joints, values=values, names=("a", "b", "c"))
     assert survey(replace(whole, joints=some), "red").candidates[0].name == "green"
     nothing = replace(whole.joints, values=np.full_like(values, np.nan), names=("a", "b", "c"))
-    assert all(one.why and not one.explained for one in survey(replace(whole, joints=nothing), "red").candidates)
+    assert all(one.why and one.explained is None for one in survey(replace(whole, joints=nothing), "red").candidates)
 
 
 def test_pictures_of_two_sizes_and_damaged_ones_are_looked_at_as_far_as_they_go() -> None:

@@ -28,7 +28,8 @@ class Candidate:
     """One thing to track: the source of its track, and why it is not on the arm ("": it is).
 
     seen: share (0..1) of the images looked at · strays px · explained: share (0..1) of its held-out motion that the
-    joints explain · track (n,2) px in those images, NaN where not seen.
+    joints explain, None where it is not computed: too few images, or no joint or the thing does not move · track
+    (n,2) px in those images, NaN where not seen.
     """
 
     name: str
@@ -36,7 +37,7 @@ class Candidate:
     source: Source
     seen: float
     strays: float
-    explained: float
+    explained: float | None
     why: str
     track: Array
 
@@ -146,9 +147,10 @@ def _colour(one: Range, found: Array, t: Array, recording: Recording, width: flo
 def _candidate(name: str, kind: str, source: Source, track: Array, q: Array, width: float, why: str = "") -> Candidate:
     there = np.flatnonzero(np.isfinite(track[:, 0]))
     strays = float(np.hypot(*track[there].std(axis=0))) if there.size else 0.0
-    share = joint_motion.explained_share(q[there], track[there], width) if there.size else 0.0
     few = f"seen in {there.size} of {len(track)} images, {_FEWEST} are needed" if there.size < _FEWEST else ""
     reason = why or few or why_not_arm(q, there, track[there], width)
+    told = not few and q.shape[1] and not joint_motion.stands_still(track[there], width)
+    share = joint_motion.explained_share(q[there], track[there], width) if told else None
     return Candidate(name, kind, source, there.size / len(track), strays, share, reason, track)
 
 
@@ -170,4 +172,4 @@ def _rank(one: Candidate, effector_uv: tuple[float, float] | None) -> tuple[floa
     away = 0.0
     if effector_uv is not None:
         away = float(np.hypot(*(seen[0] - effector_uv))) if len(seen) else np.inf
-    return away, bool(one.why), one.kind != TAG, -one.explained * one.seen, -one.strays
+    return away, bool(one.why), one.kind != TAG, -(one.explained or 0.0) * one.seen, -one.strays
