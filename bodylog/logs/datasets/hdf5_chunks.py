@@ -13,7 +13,10 @@ from ..records import Array
 
 _PIECE = 4 << 20
 """Bytes of rows that are read at once, or of one chunk if that is more."""
-_MOST_CHUNKS = 1 << 20
+_MOST_AT_ONCE = 64 << 20
+"""Bytes of rows that are read at once where a chunk spans more rows: such a chunk is unpacked more than once."""
+_MOST_CHUNKS = 1 << 18
+"""Chunks of a dataset: HDF5 looks for 10 000 a second, stored or not."""
 _CHUNKS_AT_ONCE = 1024
 """HDF5 keeps some hundred bytes for each chunk of a request, whether it is stored or not."""
 _MOST_EXPANSION = 1032
@@ -68,14 +71,15 @@ def row_blocks(one: Any, count: int, limits: Input = LIMITS, start: int = 0) -> 
 
 
 def rows_at_once(one: Any) -> int:
-    """Rows that are read in one request: whole chunks."""
+    """Rows that are read in one request: whole chunks, where that is not too much."""
     width = math.prod(one.shape[1:]) * one.dtype.itemsize
     rows = int(max(1, _PIECE // max(width, 1)))
     if not one.chunks:
         return rows
     across = math.prod(math.ceil(a / b) for a, b in zip(one.shape[1:], one.chunks[1:], strict=True))
     chunks = min(rows // one.chunks[0], _CHUNKS_AT_ONCE // max(across, 1))
-    return int(one.chunks[0] * max(chunks, 1))
+    most = max(1, _MOST_AT_ONCE // max(width, 1))
+    return int(min(one.chunks[0] * max(chunks, 1), most))
 
 
 def _filters(one: Any) -> list[int]:
