@@ -116,3 +116,31 @@ def test_convert_skips_a_link_to_a_missing_file(split: Path, tmp_path: Path) -> 
     logs.convert(split, tmp_path / "out.mcap")
     with open_log(tmp_path / "out.mcap") as log:
         assert [(topic.name, topic.messages) for topic in log.topics] == [("/a", 40), ("/b", 20)]
+
+
+def test_links_out_of_the_folder_are_not_followed(split: Path, tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    first = min(split.glob("*.db3"))
+    shutil.move(first, outside / "secret.db3")
+    first.symlink_to(outside / "secret.db3")
+    (split / "metadata.yaml").unlink()
+    (outside / "secret.yaml").write_text("rosbag2_bagfile_information: {relative_file_paths: [../outside/secret.db3]}")
+    (split / "metadata.yaml").symlink_to(outside / "secret.yaml")
+    with open_log(split) as log:
+        texts = [finding.text for finding in log.findings]
+        read = {str(member) for member, _ in log._members}
+    assert any(f"{first.name}: links out of the folder; not read" in text for text in texts)
+    assert any("there is no metadata.yaml" in text for text in texts)
+    assert read and str(first) not in read
+    (split / "metadata.yaml").unlink()
+    (split / "metadata.yaml").write_text("rosbag2_bagfile_information: {relative_file_paths: [../outside/secret.db3]}")
+    with open_log(split) as log:
+        assert all(member.parent == split for member, _ in log._members)
+
+
+def test_a_folder_that_is_a_link_itself_is_read(split: Path, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(split)
+    with open_log(tmp_path / "link") as log, open_log(split) as same:
+        counts = [[topic.messages for topic in one.topics] for one in (log, same)]
+        assert counts[0] == counts[1] and not any("links out" in finding.text for finding in log.findings)

@@ -9,6 +9,7 @@ from typing import Any
 
 from ...errors import InputError, LogError
 from ...io import atomic_files, yaml_text
+from ...io.contained import is_inside
 from ..diagnostics import Diagnostics
 from ..limits import Input
 from ..mcap.time_ranges import widen
@@ -99,6 +100,9 @@ class Rosbag2Log:
 def members(path: Path, diagnostics: Diagnostics) -> list[Path]:
     """The log files of a folder, in order; LogError when there are none."""
     found = sorted((p for p in path.iterdir() if p.is_file() and p.name.endswith(SUFFIXES)), key=_natural)
+    if outside := [p.name for p in found if not is_inside(p, path)]:
+        diagnostics.warn(f"{', '.join(outside[:5])}: links out of the folder; not read; type the file's own name")
+        found = [p for p in found if p.name not in outside]
     plain = {p.name for p in found}
     found = [p for p in found if not (p.suffix in (".zstd", ".zst") and p.stem in plain)]
     if not found:
@@ -131,7 +135,7 @@ def _named(listed: Any, diagnostics: Diagnostics) -> list[str]:
 def metadata_of(path: Path, diagnostics: Diagnostics) -> dict[str, Any]:
     """The content of metadata.yaml; empty, with a warning, when it is missing or unreadable."""
     file = path / METADATA
-    if not file.is_file():
+    if not file.is_file() or not is_inside(file, path):
         diagnostics.warn(f"there is no {METADATA}; all logs in the folder are read as one")
         return {}
     try:
