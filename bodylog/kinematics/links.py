@@ -27,6 +27,8 @@ FRAME_POSE = np.array([0.02] * 3 + [np.radians(6.0)] * 3)
 """m, rad: prior std of a camera whose optical frame is in the URDF."""
 TF_POSE = np.array([0.02] * 3 + [np.radians(2.0)] * 3)
 """m, rad: prior std of a camera placed by a transform in the log."""
+MOST_PAIRS = 4096
+"""Pairs of links that are compared, each by a short descent; a humanoid of 43 joints has 1936."""
 _FEW = 60
 _PROMISING = 3
 
@@ -167,10 +169,17 @@ class Space:
         return [name for name in names if name not in self.joints and name not in self.still]
 
     def pairs(self, camera: str | None, marker: str | None) -> Iterator[list[tuple[str, str]]]:
-        """Yield pairs of links for camera and marker: first those with most joints between them, then the others."""
+        """Yield pairs of links for camera and marker: first those with most joints between them, then the others.
+
+        ModelError where there are more than MOST_PAIRS.
+        """
         groups = self.groups
         optical = [link for link in self.robot.links if is_optical(link)]
         cameras, markers = [camera] if camera else [*optical, *groups], [marker] if marker else groups
+        if (count := len(cameras) * len(markers)) > MOST_PAIRS:
+            what = f"{count} pairs of links may carry camera and marker, as {len(groups) - 1} of its joints move"
+            asked = f"at most {MOST_PAIRS} are compared; name fewer [body] joints"
+            raise ModelError(f"{self.robot.source}: {what}; {asked}")
         counted = [(len(set(self._between(a, b))), a, b) for a in cameras for b in markers]
         counted = [one for one in counted if one[0]]
         most = max((count for count, _, _ in counted), default=0)

@@ -117,7 +117,7 @@ def _films(
     start = settings.topics.start
     first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9
     limits = replace(settings.input, strict=strict)
-    beside = {key: video_file.frames(sidecar, first_s, start_ns) for key, sidecar in sidecars.items()}
+    beside = {key: video_file.frames(sidecar, first_s, start_ns, settings.input) for key, sidecar in sidecars.items()}
     return beside | {
         key: camera.frames(path, limits, s.role.topics, s.counts, s.rows, s.timing.t_ns, start_ns)
         for key, s in streams.items()

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bodylog.errors import ModelError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.joint_motion import JointMotion, joint_motion
 from bodylog.kinematics.landmark_adjustment import Landmarks, adjust, assign, reduce_normal, whiten
@@ -167,3 +168,14 @@ def test_logs_are_joined_with_a_delay_of_their_own():
     assert both.count == 20
     assert (np.bincount(both.log) == [240, 240]).all()
     assert built.of_delays.stop - built.of_delays.start == 2
+
+
+def test_more_pairs_of_links_than_can_be_compared_are_refused():
+    """A hand of 80 fingers: any two of its links may carry camera and marker."""
+    links = "".join(f'<link name="tip{k}"/>' for k in range(80))
+    joint = '<joint name="j{0}" type="revolute"><parent link="palm"/><child link="tip{0}"/><axis xyz="0 0 1"/></joint>'
+    text = f'<robot name="hand"><link name="palm"/>{links}{"".join(joint.format(k) for k in range(80))}</robot>'
+    space = Space(urdf.parse(text, "hand.urdf"), tuple(f"j{k}" for k in range(80)), {}, np.radians(5.0))
+    with pytest.raises(ModelError, match=r"hand.urdf: 6561 pairs of links .*, as 80 of its joints move; at most 4096 "):
+        list(space.pairs(None, None))
+    assert len([pair for some in space.pairs("palm", None) for pair in some]) == 80

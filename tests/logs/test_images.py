@@ -14,12 +14,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bodylog.errors import FormatError
+from bodylog.errors import FormatError, LogError
 from bodylog.logs.decode.columns import definition_of
 from bodylog.logs.decode.layout import Picker
+from bodylog.logs.images import video_file
 from bodylog.logs.images.codecs import check_size
 from bodylog.logs.images.header_sizes import stated_size
 from bodylog.logs.images.messages import ENCODINGS, decoder, refusal
+from bodylog.logs.limits import Input
 from bodylog.types import Frame, Topic
 
 from .writing import T0, cdr, compressed, define, descriptors, header, wire
@@ -436,3 +438,24 @@ def test_a_tiff_states_the_size_of_its_tiles_too():
     entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags)
     data = b"II*\0" + struct.pack("<IH", 8, len(tags)) + entries + bytes(4)
     assert stated_size(memoryview(data)) == (65535, 65535)
+
+
+def _film(path, count, width, height):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (width, height))
+    for number in range(count):
+        writer.write(np.full((height, width, 3), 10 * number, np.uint8))
+    writer.release()
+    return path
+
+
+def test_a_side_video_that_grew_or_lied_ends_at_the_limits(tmp_path):
+    path, limits = _film(tmp_path / "film.avi", 4, 64, 48), Input(max_frames=5, max_image_mpx=0.01)
+    film = video_file.find("film.avi", tmp_path / "log.mcap", None, limits)
+    assert len(list(video_file.frames(film, 0.0, 0, limits)())) == 4
+    _film(path, 9, 64, 48)
+    images = video_file.frames(film, 0.0, 0, limits)()
+    with pytest.raises(LogError, match=r"film.avi: more than 5 images; .*\[input\] max_frames = 50"):
+        list(images)
+    _film(path, 4, 640, 480)
+    with pytest.raises(LogError, match=r"film.avi: image 0 has 640 x 480 px, .* set \[input\] max_image_mpx"):
+        list(video_file.frames(film, 0.0, 0, limits)())

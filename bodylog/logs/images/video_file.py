@@ -62,9 +62,12 @@ def _times(path: Path, frames: int) -> Array | None:
     return t
 
 
-def frames(video: Sidecar, first_s: float | None, start_ns: int) -> Callable[[], Iterator[Frame]]:
+def frames(
+    video: Sidecar, first_s: float | None, start_ns: int, limits: Input = LIMITS
+) -> Callable[[], Iterator[Frame]]:
     """A function that decodes the video from its beginning; its first frame is at first_s after start_ns.
 
+    Raises LogError at an image that is larger, or one more, than the limits allow: a file may declare fewer, or grow.
     If a table has the frames' times counted from 1970, first_s None keeps these times.
     """
     at = _at(video, first_s, start_ns)
@@ -76,6 +79,7 @@ def frames(video: Sidecar, first_s: float | None, start_ns: int) -> Callable[[],
                 there, image = capture.read()
                 if not there:
                     return
+                _check_image(video.path, number, image, limits)
                 t = at(number)
                 yield Frame(t, start_ns + round(t * 1e9), _decode(image))
         finally:
@@ -91,6 +95,17 @@ def _at(video: Sidecar, first_s: float | None, start_ns: int) -> Callable[[int],
     is_date = first_s is None and float(video.t[0]) >= _DATES
     t = (video.t - start_ns / 1e9 if is_date else video.t - video.t[0] + (first_s or 0.0)).tolist()
     return lambda number: t[number] if number < len(t) else t[-1] + (number + 1 - len(t)) / video.rate
+
+
+def _check_image(path: Path, number: int, image: Array, limits: Input) -> None:
+    """LogError where an image is one too many, or has more pixels than the file declared and than are allowed."""
+    height, width = image.shape[:2]
+    if width * height > limits.max_image_mpx * 1e6:
+        text = f"{path}: image {number} has {width} x {height} px, more than the file declared"
+        raise LogError(f"{text}; set [input] max_image_mpx to read larger ones")
+    if number >= limits.max_frames:
+        asked = f"type in robot.toml: [input] max_frames = {10 * limits.max_frames}"
+        raise LogError(f"{path}: more than {limits.max_frames} images; to read them, {asked}")
 
 
 def _decode(image: Array) -> Callable[[int], Array]:
