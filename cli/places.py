@@ -31,7 +31,8 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
                 writable(output.path, output.folder)
         # A context of click 8.1 does not tell what it holds how the command ended; messages then name the copies.
         with ExitStack() as fetched:
-            return command(**{name: _fetched(value, fetched) for name, value in given.items()})
+            patience = _patience(given)
+            return command(**{name: _fetched(value, fetched, patience) for name, value in given.items()})
 
     return checked
 
@@ -67,16 +68,25 @@ def _each(value: Any) -> Iterator[Any]:
         yield from value if isinstance(value, tuple) else (value,)
 
 
-def _fetched(value: Any, fetched: ExitStack) -> Any:
+def _patience(given: dict[str, Any]) -> float:
+    """How long to wait for a server, s: what the settings say, which are read only where a URL is named."""
+    if not any(isinstance(one, Url) for value in given.values() for one in _each(value)):
+        return 0.0
+    from bodylog.config import load
+
+    return load(given.get("config_file")).input.max_wait_s
+
+
+def _fetched(value: Any, fetched: ExitStack, wait_s: float) -> Any:
     """Logs behind URLs as files that last as long as the command."""
     if isinstance(value, tuple):
-        return tuple(_fetched(one, fetched) for one in value)
+        return tuple(_fetched(one, fetched, wait_s) for one in value)
     if not isinstance(value, Url):
         return value
     from tempfile import gettempdir
 
     from bodylog.io import remote
 
-    path = fetched.enter_context(remote.local(value, Path(gettempdir())))
+    path = fetched.enter_context(remote.local(value, Path(gettempdir()), wait_s))
     click.get_current_context().meta.setdefault(COPIES, {})[str(path)] = str(value)
     return path

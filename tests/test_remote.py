@@ -233,3 +233,43 @@ def test_mapped_remote_leaves_no_descriptor_open():
         info.info(url, Settings())
     gc.collect()
     assert len(os.listdir("/proc/self/fd")) <= before
+
+
+@pytest.fixture
+def silent():
+    """A store, of no web server, that never answers; its calls are counted."""
+    import fsspec
+    from fsspec.implementations.memory import MemoryFileSystem
+
+    asked, ended = [], threading.Event()
+
+    def never(*_: object, **__: object) -> None:
+        asked.append(1)
+        ended.wait(60.0)
+
+    kind = type("Silent", (MemoryFileSystem,), {"protocol": "silent", "info": never, "isdir": never, "find": never})
+    fsspec.register_implementation("silent", kind, clobber=True)
+    yield asked
+    ended.set()
+
+
+def test_a_store_that_never_answers_is_given_up(silent, tmp_path, run_cli, capsys, robot):
+    told = r"silent://x/a.mcap: its server did not answer within 0.2 s; .*\[input\] max_wait_s = 2"
+    with pytest.raises(LogError, match=told):
+        logs.open("silent://x/a.mcap", max_wait_s=0.2)
+    (tmp_path / "robot.toml").write_text("[input]\nmax_wait_s = 0.2\n")
+    settings = ("--config", tmp_path / "robot.toml")
+    for typed in (
+        ("fit", "silent://x/a.mcap", "-o", tmp_path / "out.npz", *settings),
+        ("info", "silent://x/a.mcap", *settings),
+        ("batch", "silent://x/a.mcap", "-o", tmp_path / "out", "--body", robot / "body.npz", *settings),
+    ):
+        before = len(silent)
+        assert run_cli(*typed) == 65
+        assert "did not answer within 0.2 s" in capsys.readouterr().err and len(silent) > before
+
+
+def test_the_answer_of_a_store_and_its_errors_are_its_own():
+    assert remote._answer(lambda: 7, 1.0) == 7
+    with pytest.raises(FileNotFoundError, match="gone"):
+        remote._answer(lambda: (_ for _ in ()).throw(FileNotFoundError("gone")), 1.0)

@@ -85,7 +85,7 @@ def _planned(plan: Plan) -> tuple[list[Job], set[str]]:
             raise UsageError("batch needs either --body body.npz or --train LOG, and not both")
         for text in group.bounds:
             bounds.parse(text)
-        logs.append(jobs.named(group.logs))
+        logs.append(jobs.named(group.logs, group.settings.input.max_wait_s))
     shares = [jobs.share(found, plan.shard) for found in logs]
     read = [path for found in logs for log in found.values() if (path := _path(log)) is not None]
     bodies = [path for group in plan.groups for path in (group.body, *group.train) if path is not None]

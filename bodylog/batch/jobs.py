@@ -47,9 +47,9 @@ class Job:
     how: str = ""
 
 
-def named(logs: Sequence[str]) -> dict[str, str]:
-    """The logs by name, in path order; LogError if there is no log."""
-    found = sorted({log for given in logs for log in find(given)})
+def named(logs: Sequence[str], wait_s: float = remote.WAIT_S) -> dict[str, str]:
+    """The logs by name, in path order; LogError if there is no log, or no answer of a server within `wait_s`."""
+    found = sorted({log for given in logs for log in find(given, wait_s)})
     if not found:
         raise LogError(f"{', '.join(logs)}: no log in there; logs end in {', '.join(SUFFIXES)}")
     names = folders.named({log: _file_name(log) for log in found})
@@ -64,13 +64,13 @@ def share(names: Iterable[str], shard: tuple[int, int]) -> tuple[str, ...]:
     return tuple(names)[index - 1 :: count]
 
 
-def find(given: str) -> Iterator[str]:
+def find(given: str, wait_s: float = remote.WAIT_S) -> Iterator[str]:
     """The logs of a file, a folder (searched recursively), a pattern or a URL; LogError if there is no log.
 
     Results of a batch are skipped unless they are named.
     """
     if remote.is_url(given):
-        yield from remote.expand(given, SUFFIXES)
+        yield from remote.expand(given, SUFFIXES, wait_s)
         return
     if not Path(given).exists() and (some := episodes.expanded(Path(given))) and episodes.split(some[0])[1] is not None:
         yield from map(str, some)

@@ -20,7 +20,7 @@ TRIES = 2
 
 def run(jobs: Sequence[Job], workers: int, memory: int | None, keep_going: bool) -> Iterator[Row]:
     """Rows as they finish; after a bug no further log is started, unless `keep_going`."""
-    sizes = {job.name: size(job.log) for job in jobs}
+    sizes = {job.name: size(job.log, job.settings.input.max_wait_s) for job in jobs}
     queue = sorted(jobs, key=lambda job: (-sizes[job.name], job.name))
     if workers == 1:
         yield from _here(queue, keep_going)
@@ -36,11 +36,11 @@ def _here(queue: Sequence[Job], keep_going: bool) -> Iterator[Row]:
             return
 
 
-def size(log: str) -> int:
+def size(log: str, wait_s: float = remote.WAIT_S) -> int:
     """Bytes of a log: file, folder or URL; 0 when it cannot be read."""
     try:
         if remote.is_url(log):
-            return remote.size(log)
+            return remote.size(log, wait_s)
         parts = files_of(Path(log))
         every = (p for part in parts for p in (part.rglob("*") if part.is_dir() else [part]))
         return sum(p.stat().st_size for p in every if not p.is_dir())

@@ -5,12 +5,13 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ..errors import BodylogError, LogError, UsageError
 from . import atomic_files, temporary
 from .outputs import METADATA, RECORDED
 
+T = TypeVar("T")
 _MARGIN = 256 << 20
 _BLOCK = 4 << 20
 WAIT_S = 20.0
@@ -20,6 +21,8 @@ _SLOWEST = 10_000
 _LONGEST_PAGE = 16 << 20
 _MOST_PAGES = 1000
 """Folders of a web server that are searched for logs; each is a page of links, which may go on for ever."""
+_PAGES_S = 10.0
+"""Times the longest wait for one answer that a list of many pages may take."""
 _LARGEST = 1 << 50
 _WEB = ("http", "https")
 
@@ -39,9 +42,11 @@ def expand(url: str, suffixes: tuple[str, ...], wait_s: float = WAIT_S) -> tuple
                 return (url,)
             found = [entry for entry in _linked(store, path, wait_s) if entry.endswith(suffixes)]
         elif any(sign in path for sign in "*["):
-            found = [entry for entry in store.glob(path) if entry.endswith(suffixes)]
-        elif store.isdir(path) and not store.isfile(path):
-            found = [entry for entry in store.find(path) if entry.endswith(suffixes)]
+            listed = _answer(lambda: store.glob(path), _PAGES_S * wait_s)
+            found = [entry for entry in listed if entry.endswith(suffixes)]
+        elif _answer(lambda: store.isdir(path) and not store.isfile(path), wait_s):
+            listed = _answer(lambda: store.find(path), _PAGES_S * wait_s)
+            found = [entry for entry in listed if entry.endswith(suffixes)]
         else:
             return (url,)
         urls = tuple(sorted(store.unstrip_protocol(entry) for entry in found))
@@ -71,7 +76,7 @@ def _linked(store: Any, top: str, wait_s: float) -> list[str]:
     begin = re.split(r"[*\[]", top)[0]
     pattern = re.compile(glob_translate(top)) if begin != top else None
     left, seen, found = [begin.rpartition("/")[0] + "/" if pattern else top], set[str](), list[str]()
-    until = time.monotonic() + 10.0 * wait_s
+    until = time.monotonic() + _PAGES_S * wait_s
     while left:
         page = left.pop()
         if page in seen:
@@ -100,7 +105,7 @@ def size(url: str, wait_s: float = WAIT_S) -> int:
     """Bytes behind a URL, 0 for a folder; LogError if unknown, impossible or unreachable."""
     with _store_errors(url, wait_s):
         store, path = _store(url, wait_s)
-        details = store.info(path)
+        details = _answer(lambda: store.info(path), wait_s)
     if _is_folder(details):
         return 0
     found = details.get("size")
@@ -115,7 +120,7 @@ def identity(url: str, wait_s: float = WAIT_S) -> str:
     """A digest of a remote file's metadata (size and tag or date): it changes with the file."""
     with _store_errors(url, wait_s):
         store, path = _store(url, wait_s)
-        details = store.info(path)
+        details = _answer(lambda: store.info(path), wait_s)
     telling = ("size", "ETag", "etag", "mtime", "LastModified", "last_modified", "created", "md5", "sha256")
     from hashlib import sha256
 
@@ -127,7 +132,8 @@ def read_range(url: str, start: int, end: int, wait_s: float = WAIT_S) -> bytes:
     with _store_errors(url, wait_s):
         store, path = _store(url, wait_s)
         if not _is_web(url):
-            return bytes(store.cat_file(path, start=start, end=end))
+            patience = wait_s + (end - start) / _SLOWEST
+            return bytes(_answer(lambda: store.cat_file(path, start=start, end=end), patience))
         found = bytearray()
         if not _send(store, path, (start, end), wait_s, found.extend):
             raise LogError(f"{url}: its server does not send parts of files; download it and give the file")
@@ -209,9 +215,10 @@ def _fetch(url: str, path: Path, wait_s: float) -> Path:
     """Copy a file, or the log files of a folder (rosbag2), to `path`."""
     with _store_errors(url, wait_s):
         store, remote = _store(url, wait_s)
-        if not _is_folder(store.info(remote)):
+        if not _is_folder(_answer(lambda: store.info(remote), wait_s)):
             return _fetch_file(url, path, wait_s)
-        entries = sorted(store.unstrip_protocol(entry) for entry in store.ls(remote, detail=False))
+        listed = _answer(lambda: store.ls(remote, detail=False), _PAGES_S * wait_s)
+        entries = sorted(store.unstrip_protocol(entry) for entry in listed)
     inside = [entry for entry in entries if entry.rpartition("/")[0] == url.rstrip("/")]
     wanted = [entry for entry in inside if entry.endswith((*RECORDED, f"/{METADATA}"))]
     if not any(entry.endswith(f"/{METADATA}") for entry in wanted):
@@ -232,13 +239,43 @@ def _fetch_file(url: str, path: Path, wait_s: float) -> Path:
     with _store_errors(url, wait_s), path.open("wb") as target:
         store, remote = _store(url, wait_s)
         if not _is_web(url):
-            with store.open(remote, "rb", block_size=_BLOCK, cache_type="readahead") as source:
-                shutil.copyfileobj(source, target, _BLOCK)
+            how = {"block_size": _BLOCK, "cache_type": "readahead"}
+            with _answer(lambda: store.open(remote, "rb", **how), wait_s) as source:
+                while piece := _answer(lambda: source.read(_BLOCK), wait_s + _BLOCK / _SLOWEST):
+                    target.write(piece)
         elif wanted:
             _send(store, remote, (0, wanted), wait_s, target.write, whole=True)
     if path.stat().st_size != wanted:
         raise LogError(f"{url}: {path.stat().st_size} bytes arrived, {wanted} were announced; try again")
     return path
+
+
+def _answer(call: Callable[[], T], wait_s: float) -> T:
+    """What a store answers; TimeoutError where it takes more than `wait_s`.
+
+    Stores other than web servers know no common limit: one that does not answer is left behind in its thread.
+    """
+    from contextvars import copy_context
+    from queue import Empty, SimpleQueue
+    from threading import Thread
+
+    answered: SimpleQueue[tuple[bool, Any]] = SimpleQueue()
+
+    def wait_for_it() -> None:
+        try:
+            answered.put((True, call()))
+        except BaseException as problem:  # raised again where it is waited for
+            answered.put((False, problem))
+
+    Thread(target=copy_context().run, args=(wait_for_it,), daemon=True).start()
+    try:
+        sound, value = answered.get(timeout=wait_s)
+    except Empty:
+        raise TimeoutError(f"no answer within {wait_s:g} s") from None
+    if not sound:
+        raise value
+    found: T = value
+    return found
 
 
 def _store(url: str, wait_s: float) -> tuple[Any, str]:

@@ -23,14 +23,17 @@ if TYPE_CHECKING:
 __all__ = ["Writer", "convert", "examine", "open", "read", "repair"]
 
 
-def open(path: str | Path, strict: bool = False, episode: int | None = None) -> "OpenLog":
+def open(
+    path: str | Path, strict: bool = False, episode: int | None = None, max_wait_s: float | None = None
+) -> "OpenLog":
     """Open a log of any container, path or URL; LogError when it is not a log, or when `strict` and part of it is lost.
 
-    episode: the number of an episode of a dataset; the path DATASET#N means the same.
+    episode: the number of an episode of a dataset; the path DATASET#N means the same · max_wait_s: s without an answer
+    after which a URL's server is given up.
     """
     from .library import OpenLog
 
-    return OpenLog(path, strict, episode)
+    return OpenLog(path, strict, episode, max_wait_s)
 
 
 def read(path: str | Path, fields: Mapping[str, Sequence[str]]) -> "dict[str, Table]":

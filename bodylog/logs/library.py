@@ -41,14 +41,16 @@ class OpenLog:
     topics · start_ns, end_ns: first and last log time, int64 ns · `log[topic]` is a Table.
     """
 
-    def __init__(self, path: str | Path, strict: bool = False, episode: int | None = None) -> None:
+    def __init__(
+        self, path: str | Path, strict: bool = False, episode: int | None = None, max_wait_s: float | None = None
+    ) -> None:
         """Open a log, or `episode` of a dataset; LogError when it is not a log, or when `strict` and part is lost."""
         path = path if episode is None else f"{path}#{episode}"
         self.path = str(path)
         self.rejected: Counter[str] = Counter()
         self._open = ExitStack()
         with ExitStack() as opening:
-            self._here = opening.enter_context(local_path(path))
+            self._here = opening.enter_context(local_path(path, max_wait_s or LIMITS.max_wait_s))
             self._log: Log = opening.enter_context(open_log(self._here, strict))
             self._open = opening.pop_all()
         self.topics = self._log.topics
