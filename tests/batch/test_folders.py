@@ -173,7 +173,7 @@ def test_partial_row_of_a_killed_shard_is_removed(tmp_path):
     folders.mark(tmp_path, folders.BATCH)
     three = [Job(name, name, tmp_path / name, tmp_path, Settings(), (), False, "how") for name in "abc"]
     empty = {"log": "a", "status": "passed", "exit_code": 0, "outputs": {}, "scores": {}, "used": {}, "health": {}}
-    empty |= {"verdict": [], "faults": [], "findings": []}
+    empty |= {"verdict": [], "headline": {}, "faults": [], "findings": []}
     rows = {job.name: {**dict.fromkeys(KEYS), **empty, "name": job.name} for job in three}
     own: dict = {}
     journal = Journal(tmp_path, three, frozenset("ab"), own)
