@@ -131,3 +131,12 @@ def test_pages_for_developers_name_what_exists(page):
 @pytest.mark.parametrize("table, file", re.findall(r"\| `([A-Z_]+)` in `([\w/]+\.py)` \|", CONTRIBUTING))
 def test_contributing_names_tables_where_they_stand(table, file):
     assert re.search(rf"^{table}\b.* = ", (ROOT / file).read_text(), re.MULTILINE)
+
+
+def test_every_friction_has_a_test_that_exists():
+    section = CONTRIBUTING.partition("## What a new user meets")[2]
+    rows = [line for line in section.splitlines() if line.startswith("| ")][1:]
+    defined = set(re.findall(r"^def (test_\w+)", "\n".join(WRITTEN), re.MULTILINE))
+    named = [re.findall(r"`(test_\w+)`", row.split("|")[3]) for row in rows]
+    assert rows and all(named)
+    assert not {name for names in named for name in names} - defined
