@@ -18,6 +18,7 @@ from tests.body.test_boards import features
 from tests.body.test_kinematic import OFFSETS, given
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM
+from tests.kinematics.test_chain import ends_of
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +101,12 @@ def test_written_urdf_agrees_with_the_table(learned, tmp_path, run_cli):
     assert run_cli(*typed, "--urdf", tmp_path / "arm.urdf") == 0
     chain = between(urdf.load(tmp_path / "new.urdf"), "base", "camera_optical_frame")
     np.testing.assert_allclose(chain.fixed[0], calibrated(learned).cameras[0].pose, atol=1e-12)
+    pybullet = pytest.importorskip("pybullet")
+    zeros = {one.joint: one.value for one in calibrated(learned).zeros if one.identifiable}
+    angles = {"pan": 0.3, "lift": -0.5, "elbow": 0.8, "wrist": 0.1}
+    turned = {name: angle + zeros.get(name, 0.0) for name, angle in angles.items()}
+    after = ends_of(pybullet, (tmp_path / "new.urdf").read_text(), angles, tmp_path)
+    before = ends_of(pybullet, ARM, turned, tmp_path)
+    assert len(zeros) == 2
+    np.testing.assert_allclose(after["tool"], before["tool"], atol=1e-6)
+    np.testing.assert_allclose(after["camera_optical_frame"], calibrated(learned).cameras[0].pose, atol=1e-6)

@@ -178,3 +178,15 @@ def test_open_refuses_a_damaged_parquet_file(tmp_path):
     path.write_bytes(b"PAR1" + b"\0" * 20 + b"PAR1")
     with pytest.raises(InputError):
         open_log(path)
+
+
+def test_a_unit_of_joints_does_not_convert_coordinates_of_a_frame(tmp_path):
+    path = _csv(tmp_path, "tool_x,tool_y,tool_z,tool_qx,tool_qy,tool_qz,tool_qw,tip_u,tip_v", *(
+        f"0.{k},0.2,0.3,0,0,{np.sin(0.1 * k)},{np.cos(0.1 * k)},{k},2" for k in range(1, 5)
+    ))  # fmt: skip
+    given = Settings()
+    in_degrees = replace(given, body=replace(given.body, unit="deg"))
+    plain, converted = (recording.read(path, one).joints for one in (given, in_degrees))
+    assert plain is not None and converted is not None and plain.unit == converted.unit == "rad"
+    np.testing.assert_array_equal(converted.values, plain.values)
+    np.testing.assert_allclose(plain.values[:, 0], [0.1, 0.2, 0.3, 0.4])

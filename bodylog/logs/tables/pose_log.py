@@ -13,10 +13,12 @@ from ..encode.cdr import CdrField
 from ..encode.schemas import definition
 from ..images.codecs import check_size
 from ..images.header_sizes import stated_size
+from ..joint_units import UNIT
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Outgoing, Topic
 from ..topic_names import TRACK, TRACK_NAMES, escape
 from ..topics import INDEPENDENT
+from .frame_columns import frame_of
 from .pose_columns import in_degrees, poses
 from .table_file import kind, read
 
@@ -54,7 +56,7 @@ class PoseLog:
         self._images = {len(self._outgoing) + k: files for k, files in enumerate(found.images.values())}
         cameras = zip(self._images.items(), found.images, strict=True)
         self.topics: tuple[Topic, ...] = (
-            *(_topic(k, out) for k, out in enumerate(self._outgoing)),
+            *(_topic(k, out, tuple(found.joints)) for k, out in enumerate(self._outgoing)),
             *(_camera(k, name, sum(map(bool, files))) for (k, files), name in cameras),
         )
         self.start_ns, self.end_ns = int(self._ns.min()), int(self._ns.max())
@@ -166,8 +168,11 @@ def _as_png(data: Array, mpx: float) -> Array | None:
     return None if image is None else np.asarray(cv2.imencode(".png", image)[1]).reshape(-1)
 
 
-def _topic(number: int, out: Outgoing) -> Topic:
+def _topic(number: int, out: Outgoing, joints: tuple[str, ...]) -> Topic:
     metadata = INDEPENDENT if out.topic == JOINTS else {}
+    if metadata and frame_of(joints) is not None:
+        # coordinates of a frame are in m and rad, whatever the unit of a robot's joints is
+        metadata = {**metadata, UNIT: "rad"}
     return Topic(number, out.topic, out.type, "cdr", out.definition, "ros2msg", len(out.log_ns), metadata)
 
 
