@@ -28,25 +28,45 @@ def _text(fault: Fault) -> str:
     since = f"{fault.sense} {fault.name}: {fault.kind} {span_text(fault, 3)}"
     # the size of an ambiguous fault is NaN
     known = fault.size == fault.size
-    size = f", {quantity(fault.size, fault.std, fault.unit)}" if known else "; the log does not determine which one"
-    size += "" if fault.turn is None else f", turned by {quantity(fault.turn, fault.turn_std, 'rad')}"
+    size = (
+        f", {quantity(fault.size, fault.std, fault.unit)}"
+        if known
+        else "; the log does not determine which one"
+    )
+    size += (
+        "" if fault.turn is None else f", turned by {quantity(fault.turn, fault.turn_std, 'rad')}"
+    )
     first = "; from the start: homed differently, or the camera moved since the body was learned"
     body = "; relative to the body"
     compared = fault.kind == "moved" or (fault.kind == "offset" and fault.std is not None)
-    return since + size + first * (fault.kind == "drifting" and fault.since < FIRST) + body * compared
+    return (
+        since + size + first * (fault.kind == "drifting" and fault.since < FIRST) + body * compared
+    )
 
 
 def sighting_findings(found: Features) -> tuple[Finding, ...]:
     """In how many images each track was seen, and why not in the others, by reason."""
     from .body.data import trainable
 
-    return tuple(Finding("info", f"{name}: {trainable.seen([found], name)}") for name in found.tracks)
+    return tuple(
+        Finding("info", f"{name}: {trainable.seen([found], name)}") for name in found.tracks
+    )
 
 
-def unseen_findings(found: Estimate, features: Features, body: BodyModel, settings: Settings) -> tuple[Finding, ...]:
+def unseen_findings(
+    found: Estimate, features: Features, body: BodyModel, settings: Settings
+) -> tuple[Finding, ...]:
     """What the body looks for and no image shows; "lost" where nothing else of the body is seen."""
-    looked = {name: health.seen for name, health in found.used.items() if name in body.senses and name != "encoders"}
-    seen = {name for name in looked if name in features.tracks and np.isfinite(features.tracks[name].values).any()}
+    looked = {
+        name: health.seen
+        for name, health in found.used.items()
+        if name in body.senses and name != "encoders"
+    }
+    seen = {
+        name
+        for name in looked
+        if name in features.tracks and np.isfinite(features.tracks[name].values).any()
+    }
     sources, unseen = wanted(settings), dict[str, int]()
     for name in looked.keys() - seen:
         if looked[name]:
@@ -55,7 +75,10 @@ def unseen_findings(found: Estimate, features: Features, body: BodyModel, settin
     if not unseen:
         return ()
     count = max(unseen.values())
-    things = [f"{described(sources[name])} ({name})" if name in sources else name for name in sorted(unseen)]
+    things = [
+        f"{described(sources[name])} ({name})" if name in sources else name
+        for name in sorted(unseen)
+    ]
     never = "they were never seen" if things[1:] else "it was never seen"
     text = f"the body looks for {listed(things)}; {never} in {count} images"
     if seen:
@@ -70,5 +93,9 @@ def truth_findings(found: Estimate, truth: Series | None) -> tuple[Finding, ...]
         return (Finding("warning", text),)
     if set(truth.names) & set(found.joints.names):
         return ()
-    names = f"the truth is of {', '.join(truth.names)}, the estimate of {', '.join(found.joints.names)}"
-    return (Finding("warning", f"{names}, so no error against truth; name another in [topics] truth"),)
+    names = (
+        f"the truth is of {', '.join(truth.names)}, the estimate of {', '.join(found.joints.names)}"
+    )
+    return (
+        Finding("warning", f"{names}, so no error against truth; name another in [topics] truth"),
+    )

@@ -1,4 +1,4 @@
-"""The figures that a person looks for first: the cards of a report, and the columns of a batch's page."""
+"""The figures that a person looks for first: a report's cards, the columns of a batch's page."""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,13 +17,19 @@ UNKNOWN = "–"
 
 
 def of_estimate(found: Estimate, scores: Sequence[Score]) -> dict[str, str]:
-    """Faults, error against the truth, error bar, reprojection error and delay, each as a short text.
+    """Faults, error against the truth, error bar, reprojection error and delay, as short texts.
 
     The reprojection error is that of each sighting against its prediction before it.
     """
     values = {score.name: score.value for score in scores}
     error = quantity(values["rmse/joint"], None, "rad") if "rmse/joint" in values else None
-    texts = (_faults(found), error, typical_error_bar(found) or UNKNOWN, _reprojection(values), _delays(found))
+    texts = (
+        _faults(found),
+        error,
+        typical_error_bar(found) or UNKNOWN,
+        _reprojection(values),
+        _delays(found),
+    )
     return {name: text for name, text in zip(NAMES, texts, strict=True) if text is not None}
 
 
@@ -35,12 +41,17 @@ def _faults(found: Estimate) -> str:
 
 def _fault(fault: Fault) -> str:
     sized = np.isfinite(fault.size) and fault.size != 0.0
-    return f"{fault.name} {fault.kind}" + f" by {quantity(fault.size, fault.std, fault.unit)}" * bool(sized)
+    return (
+        f"{fault.name} {fault.kind}"
+        + f" by {quantity(fault.size, fault.std, fault.unit)}" * bool(sized)
+    )
 
 
 def _reprojection(values: Mapping[str, float]) -> str:
     """The error of each track in px; of more than three the median and the largest."""
-    errors = {split(name)[1]: v for name, v in values.items() if split(name)[0] == "rmse/innovation"}
+    errors = {
+        split(name)[1]: v for name, v in values.items() if split(name)[0] == "rmse/innovation"
+    }
     errors = {name: value for name, value in errors.items() if np.isfinite(value)}
     if len(errors) > 3:
         worst = max(errors, key=lambda name: errors[name])
@@ -50,9 +61,11 @@ def _reprojection(values: Mapping[str, float]) -> str:
 
 
 def _delays(found: Estimate) -> str:
-    """The delay of each camera ± its standard error where one was measured, and whether it is corrected."""
+    """The delay of each camera ± its standard error if measured, and whether it is corrected."""
     applied = found.settings.get("delay", {})
-    corrected = {name for name, late in applied.items() if late} if isinstance(applied, Mapping) else set()
+    corrected = (
+        {name for name, late in applied.items() if late} if isinstance(applied, Mapping) else set()
+    )
     texts = []
     for score in delays(found):
         camera = split(score.name)[1]

@@ -51,7 +51,12 @@ def test_of_many_tracks_the_median_and_the_largest_stand() -> None:
 
 def test_a_delay_says_whether_it_is_corrected() -> None:
     both = {"seconds": 0.062, "std_error": 0.001, "evident": True, "doubt": ""}
-    other = {"seconds": -0.004, "std_error": 0.002, "evident": True, "doubt": "the joints hardly move"}
+    other = {
+        "seconds": -0.004,
+        "std_error": 0.002,
+        "evident": True,
+        "doubt": "the joints hardly move",
+    }
     settings = {"delay": {"camera": 0.062}, MEASURED_DELAYS: {"camera": both, "left": other}}
     shown = of_estimate(replace(SOUND, settings=settings), ())["delay"]
     assert shown == "62 ± 1 ms (camera, corrected), -4 ± 2 ms (left, not corrected)"

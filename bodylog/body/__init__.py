@@ -48,7 +48,9 @@ def with_kinematics(
     if not doubtful:
         return _remembering(with_it, unused)
     try:
-        plain = learn(features, settings, found.model.provenance, update, "telling", _advice(settings, robot))
+        plain = learn(
+            features, settings, found.model.provenance, update, "telling", _advice(settings, robot)
+        )
     except EvidenceError as problem:
         raise EvidenceError("; ".join([str(problem), *map(_why, unused)])) from problem
     return _remembering(replace(plain, findings=(*plain.findings, *unused)), unused)

@@ -20,7 +20,7 @@ _INTEGERS = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
 
 def stated_size(data: memoryview) -> tuple[int, int]:
-    """Height and width of a BMP, TIFF or PNM image, the largest where it states several; FormatError for others."""
+    """Height and width of a BMP, TIFF or PNM image, the largest it states; FormatError for others."""
     head = bytes(data[:4])
     try:
         if head[:2] == b"BM":
@@ -31,7 +31,9 @@ def stated_size(data: memoryview) -> tuple[int, int]:
             return int(found[2]), int(found[1])
     except (struct.error, ValueError):
         raise FormatError("an image whose header is cut off or damaged") from None
-    raise FormatError(f"an image beginning with {head.hex() or 'nothing'}; can read jpeg, png, webp, bmp, tiff and pnm")
+    raise FormatError(
+        f"an image beginning with {head.hex() or 'nothing'}; can read jpeg, png, webp, bmp, tiff and pnm"
+    )
 
 
 def _bmp(data: memoryview) -> tuple[int, int]:
@@ -65,8 +67,10 @@ def _tiff(data: memoryview, order: str) -> tuple[int, int]:
     return max(heights), max(widths)
 
 
-def _entries(data: memoryview, order: str, start: int, count: int, step: int) -> Iterator[tuple[int, int]]:
-    """Yield tag and value of a directory's entries that are integers; the value ends an entry of `step` bytes."""
+def _entries(
+    data: memoryview, order: str, start: int, count: int, step: int
+) -> Iterator[tuple[int, int]]:
+    """Yield tag and value of a directory's integers; the value ends an entry of `step` bytes."""
     for at in range(start, min(start + count * step, len(data)), step):
         tag, kind = struct.unpack_from(f"{order}HH", data, at)
         if kind in _INTEGERS:
