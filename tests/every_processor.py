@@ -20,6 +20,7 @@ import numpy as np
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("tests/perception", "tests/body", "tests/estimation")
+CPU = Path("/proc/cpuinfo")
 ARM = ROOT / "fixtures" / "arm"
 AVX_512 = ("X86_V4", "AVX512_ICL", "AVX512_SPR", "AVX512F", "AVX512CD", "AVX512_SKX")
 """NumPy's names of groups of AVX-512 instructions, of version 2.4 and of earlier ones."""
@@ -102,8 +103,7 @@ def differs(name: str, found: dict[str, Outcome]) -> str:
 
 def lacking(profile: Profile) -> list[str]:
     """The instructions that a profile needs and this processor has not."""
-    cpu = Path("/proc/cpuinfo")
-    lines = cpu.read_text().splitlines() if cpu.exists() else []
+    lines = CPU.read_text().splitlines() if CPU.exists() else []
     flags = next((line.split() for line in lines if line.startswith("flags")), [])
     return [flag for flag in profile.needs if flag not in flags]
 
