@@ -255,6 +255,10 @@ class Capabilities:
     from_paper: bool = False
 
 
+LASTING_ERROR = "lasting_error"
+"""Key of an estimate's settings for errors of encoders that last: std (rad), seconds, nats, nees_if_white."""
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Where the body was: joints (N,M) rad, rate (N,M) rad/s, cov (N,M,M) rad², free energy (N,) nats.

@@ -8,7 +8,7 @@ import numpy as np
 from .evaluation.figures import FIRST, MISFIT, doubtful_delays
 from .fault_findings import span_text
 from .score_names import split
-from .types import EITHER, Estimate, Fault, Score
+from .types import EITHER, LASTING_ERROR, Estimate, Fault, Score
 from .wording import quantity
 
 MOST = 3
@@ -27,7 +27,8 @@ def of_estimate(found: Estimate, scores: Sequence[Score]) -> tuple[str, ...]:
     if MISFIT in found.settings:
         return (str(found.settings[MISFIT]["text"]),)
     faults = [_fault(fault) for fault in found.faults]
-    return (*_first(faults, "faults"), *_delays(found), _agreement(found), *_error(found, scores))
+    sure = (*_first(faults, "faults"), *_delays(found), *_lasting_error(found))
+    return (*sure, _agreement(found), *_error(found, scores))
 
 
 def of_body(
@@ -137,6 +138,15 @@ def _delays(found: Estimate) -> Iterator[str]:
     for camera, delay, std, doubt in doubtful_delays(found):
         way = "late" if delay > 0 else "early"
         yield f"{camera}: timestamps seem {abs(delay) * 1e3:.3g} ± {std * 1e3:.1g} ms {way}; not corrected: {doubt}"
+
+
+def _lasting_error(found: Estimate) -> Iterator[str]:
+    """Errors of encoders that last, by which error bars are widened."""
+    own = found.settings.get(LASTING_ERROR)
+    if isinstance(own, Mapping):
+        size = f"{own['seconds']:.2g} s, {1e3 * own['std']:.2g} mrad"
+        narrow = f"NEES about {own['nees_if_white']:.2g} without"
+        yield f"encoders: errors last about {size}; error bars are wider for it ({narrow})"
 
 
 def _agreement(found: Estimate) -> str:

@@ -14,17 +14,18 @@ table = generate_claims.table
 
 @dataclass(frozen=True)
 class Found:
-    """One estimate beside the truth: errors and standard deviations (N,M) rad at times (N,) s, and its faults."""
+    """One estimate beside the truth: errors and standard deviations (N,M) rad at times (N,) s, faults, settings."""
 
     t: np.ndarray
     error: np.ndarray
     std: np.ndarray
     faults: tuple
+    settings: dict
 
     def within(self, low, high=np.inf):
         """The part between two times (s)."""
         rows = (self.t >= low) & (self.t < high)
-        return Found(self.t[rows], self.error[rows], self.std[rows], self.faults)
+        return Found(self.t[rows], self.error[rows], self.std[rows], self.faults, self.settings)
 
     @property
     def rmse(self):
@@ -48,7 +49,8 @@ def found(log, body, method="laplace", delay="auto", **settings):
     names = [name for name in log.truth.names if name in made.joints.names]  # pan, lift, elbow
     columns = [made.joints.names.index(name) for name in names]
     error = made.joints.values[:, columns] - at_times(log.truth, names, made.joints.t)
-    return Found(made.joints.t, error, np.sqrt(np.einsum("nii->ni", made.cov))[:, columns], made.faults)
+    std = np.sqrt(np.einsum("nii->ni", made.cov))[:, columns]
+    return Found(made.joints.t, error, std, made.faults, made.settings)
 
 
 def mean_nees(runs):

@@ -11,6 +11,7 @@ import numpy as np
 from bodylog import body, config, pipeline
 from bodylog.evaluation.scores import at_times
 from bodylog.experiments.lab import ObservedLog
+from bodylog.types import LASTING_ERROR
 from tests.validation import figures
 
 FOLDER = Path(__file__).parents[3] / "shared" / "logs" / "hardware"
@@ -49,6 +50,7 @@ def table():
         "raw encoders, mrad",
         *(f"`{method}`, mrad; NEES; within 2σ" for method in METHODS),
         "faults named (filter)",
+        "logs with wider bars (filter)",
     )
     return figures.table(head, [row(name, *files) for name, files in KINDS.items()])
 
@@ -76,15 +78,19 @@ def log(name):
 def row(name, exploration, run):
     """Figures over the runs, with truth: the angles of the links."""
     logs = [log(f"{run}_run{number}") for number in range(RUNS)]
-    cells, named = [], ""
+    cells = []
+    counts = ()
     for method in METHODS:
         runs = [figures.found(one, learned(exploration), method) for one in logs]
         nees = np.mean([found.nees.mean() for found in runs])
         coverage = 100.0 * np.mean([found.coverage for found in runs])
         cells.append(f"{figures.mrad(runs)}; {figures.joined([nees])}; {coverage:.0f} %")
-        named = named or str(sum(len(found.faults) for found in runs))
+        counts = counts or (
+            str(sum(len(found.faults) for found in runs)),
+            f"{sum(LASTING_ERROR in found.settings for found in runs)} of {RUNS}",
+        )
     raw = 1e3 * figures.rms([raw_error(one, learned(exploration)) for one in logs])
-    return (name, f"{raw:.3g}", *cells, named)
+    return (name, f"{raw:.3g}", *cells, *counts)
 
 
 def raw_error(one, model):

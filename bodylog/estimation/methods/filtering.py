@@ -55,7 +55,8 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
         drifts(problem, solution), tuple(lost(problem, body.joints, solution)),
     )  # fmt: skip
-    return results.estimate(settings.method, body, problem.evidence, problem.timeline, beliefs)
+    found = results.estimate(settings.method, body, problem.evidence, problem.timeline, beliefs)
+    return results.with_lasting_error(found, problem, beliefs.z, settings)
 
 
 def gathered(features: Features, body: BodyModel, settings: Estimation) -> Problem:

@@ -49,7 +49,8 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         precision.scale, precision.plain(), drifts(problem, smooth),
         tuple(lost(problem, body.joints, smooth)), found.places,
     )  # fmt: skip
-    return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
+    made = results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
+    return results.with_lasting_error(made, problem, beliefs.z, settings)
 
 
 def judged(problem: Problem, smooth: Smooth) -> Judged:

@@ -1,0 +1,282 @@
+"""Errors of encoders that last: found by what images say against readings, without truth.
+
+Encoders and images that have white errors alone disagree afresh in every image. Play, load and electronics make errors
+that last for several images. With J the slope of a track, its residual from the readings is then
+
+    r(t) = −J e(t) + n(t),   e of each joint an Ornstein–Uhlenbeck process of variance σ² and time constant τ.
+
+n has what a sound log may have: the noise of image and reading, alike or not where places or counts are, times factors;
+the stated error of the learned body, a function of the posture; and a delay, by rows of the picture. The evidence of
+σ and τ over that of noise alone decides. An error that the log shows adds σ² to the variances: the belief
+follows the readings, so it has their error. A body whose error is larger than stated shows as the same: images cannot
+tell it from an error of the joints.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...types import Array
+from ..faults.threshold import NATS
+from ..measurements.records import Encoders, Sighting, mixed
+from .correlated_noise import NEAR, reach
+from .quantisation import resolved
+
+PIECES = 4
+"""Stretches of a log that are looked at: what lasts is told by each, and time stays constant."""
+ROWS = 128
+"""Rows of residuals in a stretch."""
+LEAST_IMAGES = 24
+SCORE_SIGMA = 3.0
+"""Standard deviations of the score from which the evidence is computed."""
+TIMES_S = (0.15, 0.6, 2.5)
+"""Time constants that the score is computed for."""
+SHORTEST_S = 0.1
+LONGEST_S = 60.0
+"""s: what lasts longer than a log is constant in it."""
+OUTLIER = 6.0
+"""Median sizes of a residual beyond which an image shows something else."""
+MOST_COUNTS = 2.0
+"""Variances of whole counts up to which an error that lasts is that of the counts, which noise has already."""
+MOST_STEPS = 2.5
+"""Usual steps of the encoders' clock that readings beside an image may be apart."""
+DELAY_S = 1e-2
+"""s: standard deviation of the rest of a camera's delay, and of the difference of its first row from its last."""
+_JITTER = 1e-6
+_STATED = np.array([1.0, 1.0, 0.01])
+"""Factors on the noise of images, of readings, and alike, with which the search begins."""
+_LIMITS = np.log([[1e-6, 1e6], [1e-6, 1e6], [1e-6, 1e6], [1e-7, 1.0], [SHORTEST_S, LONGEST_S]])
+"""Of the factors on noise, of σ (rad) and of τ (s)."""
+
+
+@dataclass(frozen=True)
+class LastingError:
+    """Standard deviation (rad) and time constant (s) of encoders' errors, and the nats of evidence for them."""
+
+    std: float
+    seconds: float
+    nats: float
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Images against readings in one stretch of a log, as R rows.
+
+    residual (R,) · image, reading (R,R): covariance by their noise, independent · alike (R,R): by both, if places and
+    counts that are alike have the same error · model (R,R): by the body's error · delayed (R,R): by a
+    delay of DELAY_S · slopes (R,M), 0 for joints without readings · t (R,) s.
+    """
+
+    residual: Array
+    image: Array
+    reading: Array
+    alike: Array
+    model: Array
+    delayed: Array
+    slopes: Array
+    t: Array
+
+    def lasting(self, seconds: float) -> Array:
+        """Covariance (R,R) by encoder errors of variance 1 rad² with this time constant."""
+        apart = np.abs(self.t[:, None] - self.t[None, :])
+        return np.asarray((self.slopes @ self.slopes.T) * np.exp(-apart / seconds))
+
+
+@dataclass(frozen=True, eq=False)
+class FrameBelief:
+    """What is believed at a sighting's frames: angles and rates (F,M), and encoder offsets (F,M), 0 without any."""
+
+    angles: Array
+    rates: Array
+    offsets: Array
+
+
+def find_lasting_error(
+    encoders: Encoders | None, sightings: Sequence[Sighting], beliefs: Sequence[FrameBelief], variance: Array
+) -> LastingError | None:
+    """The lasting error that a log shows; None where it shows none, or tells nothing.
+
+    variance (M,) rad² of the readings' noise.
+    """
+    if encoders is None:
+        return None
+    pieces = [
+        piece
+        for sighting, belief in zip(sightings, beliefs, strict=True)
+        if sighting.name != "touch"
+        for piece in _residuals(encoders, sighting, belief, variance)
+    ]
+    lasting = _by_evidence(pieces) if pieces else None
+    if lasting is None or lasting.std**2 < MOST_COUNTS * _count_variances(encoders).max():
+        return None
+    return lasting
+
+
+def _residuals(encoders: Encoders, sighting: Sighting, belief: FrameBelief, variance: Array) -> Iterator[Residuals]:
+    """Yield the residuals of a track's images from the readings, stretch by stretch."""
+    read = _read_at(encoders, sighting.t)
+    # images follow an encoder with an offset, and one that never changes may stand anywhere within its count
+    tells = (belief.offsets == 0.0).all(axis=0) & (np.diff(encoders.values, axis=0) != 0.0).any(axis=0)
+    has_reading = np.isfinite(read) & tells
+    angles = np.where(has_reading, read, belief.angles)
+    values, var, mix = sighting.independent
+    usable = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(angles).all(axis=1))
+    if len(usable) < LEAST_IMAGES or not has_reading.any():
+        return
+    mean, jac, model_var = mixed(None if mix is None else mix[usable], sighting.model.predict(angles[usable]))
+    residual = values[usable] - mean
+    inlying = _inlying(residual)
+    width = max(ROWS // values.shape[1], 1)
+    frames = np.arange(len(usable))[inlying]
+    length = reach(sighting.model)
+    counts = _count_variances(encoders)
+    for start in np.unique(np.linspace(0, max(len(frames) - width, 0), PIECES).astype(int)):
+        part = frames[start : start + width]
+        rows = usable[part]
+        sloped = jac[part] * has_reading[rows][:, None, :]
+        late = np.einsum("fdm,fm->fd", jac[part], belief.rates[rows])
+        yield _piece(
+            residual[part], mean[part], var[rows], sloped, model_var[part], angles[rows], late, sighting.t[rows],
+            variance, counts, length,
+        )  # fmt: skip
+
+
+def _count_variances(encoders: Encoders) -> Array:
+    """Variance (M,) rad² of each encoder's readings that comes from whole counts; 0 where none are seen."""
+    return np.array([resolved(column[np.isfinite(column)]) for column in encoders.values.T])
+
+
+def _read_at(encoders: Encoders, t: Array) -> Array:
+    """Readings (F,M) rad at t (F,) s, between the two beside each; NaN where one of them is missing."""
+    after = np.clip(np.searchsorted(encoders.t, t), 1, len(encoders.t) - 1)
+    begin, end = encoders.t[after - 1], encoders.t[after]
+    share = ((t - begin) / (end - begin))[:, None]
+    read = (1.0 - share) * encoders.values[after - 1] + share * encoders.values[after]
+    usual = (t >= begin) & (t <= end) & (end - begin <= MOST_STEPS * np.median(np.diff(encoders.t)))
+    return np.asarray(np.where(usual[:, None], read, np.nan))
+
+
+def _inlying(residual: Array) -> Array:
+    """Which images (F,) are within OUTLIER times the median size of all residuals (F,D)."""
+    size = np.sqrt(np.square(residual - np.median(residual, axis=0)).sum(axis=1))
+    return np.asarray(size <= OUTLIER * max(float(np.median(size)), 1e-12))
+
+
+def _piece(
+    residual: Array, places: Array, var: Array, jac: Array, model_var: Array, q: Array, late: Array, t: Array,
+    variance: Array, counts: Array, length: Array,
+) -> Residuals:  # fmt: skip
+    """The residuals (F,D) of F images, whose D rows are independent, as R = F D rows.
+
+    places (F,D): predicted, as measured ones are near where their errors are alike · late (F,D): by a second · counts
+    (M,) rad²: variance of the readings that comes from whole counts.
+    """
+    step = q[:, None, :] - q[None, :, :]
+    near_posture = np.exp(-0.5 * np.square(step / length).sum(axis=-1))
+    apart = np.sqrt(np.square(places[:, None] - places[None]).sum(axis=-1))
+    # the error of a count turns from one half of it to the other
+    same_count = np.exp(-0.5 * np.square(step) / np.maximum(12.0 * counts / 16.0, 1e-30))
+    rows = np.eye(residual.shape[1])
+    single = np.eye(len(q))
+    model = _alike(near_posture, np.sqrt(model_var), rows)
+    image = _alike(single, np.sqrt(var), rows)
+    reading = _projected(jac, variance * single[..., None])
+    alike = _alike(np.exp(-apart / NEAR), np.sqrt(var), rows) + _projected(jac, variance * same_count)
+    # a camera that exposes its rows one by one is later by a linear function of the row
+    height = places[:, -1] - places[:, -1].mean()
+    by_row = late * (height / max(float(np.abs(height).max()), 1e-12))[:, None]
+    delayed = np.square(DELAY_S) * sum(np.outer(one.ravel(), one.ravel()) for one in (late, by_row))
+    t_rows = np.repeat(t, residual.shape[1])
+    return Residuals(residual.ravel(), image, reading, alike, model, delayed, jac.reshape(residual.size, -1), t_rows)
+
+
+def _projected(jac: Array, near: Array) -> Array:
+    """Covariance (R,R) of what errors of joints, of covariance near (F,F,M) rad² from image to image, do in images."""
+    rows = jac.shape[0] * jac.shape[1]
+    return np.asarray(np.einsum("fdm,gem,fgm->fdge", jac, jac, near).reshape(rows, rows))
+
+
+def _alike(near: Array, std: Array, rows: Array) -> Array:
+    """Covariance (R,R) of errors (F,D) whose images correlate by near (F,F), and whose rows are independent."""
+    return np.asarray(np.einsum("fg,fd,ge,de->fdge", near, std, std, rows).reshape(std.size, std.size))
+
+
+def _sound_covariance(piece: Residuals, factors: Array) -> Array:
+    """Covariance (R,R) without a lasting error, for factors (3,) on the noise of images, of readings, and alike."""
+    noise = factors[0] * piece.image + factors[1] * piece.reading + factors[2] * piece.alike
+    return np.asarray(noise + piece.model + piece.delayed)
+
+
+def _score(pieces: Sequence[Residuals], factors: Array) -> tuple[float, float]:
+    """The largest score for a lasting error, in its standard deviations, and the time constant (s) that has it.
+
+    The score is the slope of the log likelihood by σ² at σ = 0, for residuals scaled to the noise of factors (3,).
+    """
+    scores = np.zeros((2, len(TIMES_S)))
+    for piece in pieces:
+        root = _root(_sound_covariance(piece, factors))
+        white = np.linalg.solve(root, piece.residual)
+        white = white / max(float(np.sqrt(np.mean(white * white))), 1e-12)
+        for k, seconds in enumerate(TIMES_S):
+            shape = np.linalg.solve(root, np.linalg.solve(root, piece.lasting(seconds)).T)
+            shape -= np.trace(shape) / len(shape) * np.eye(len(shape))
+            scores[:, k] += white @ shape @ white, 2.0 * np.square(shape).sum()
+    each = scores[0] / np.sqrt(np.maximum(scores[1], 1e-300))
+    return float(each.max()), TIMES_S[int(each.argmax())]
+
+
+def _by_evidence(pieces: Sequence[Residuals]) -> LastingError | None:
+    """The lasting error of most evidence, if it wins NATS over none."""
+    score, seconds = _score(pieces, _STATED)
+    if score < SCORE_SIGMA:
+        return None
+    factors, none = _least(lambda p: _nats(pieces, np.exp(p)), np.log(_STATED), _LIMITS[:3])
+    start = np.array([*factors, np.log(_size(pieces)), np.log(seconds)])
+    found, nats = _least(lambda p: _nats(pieces, *_split(p)), start, _LIMITS)
+    if none - nats <= NATS:
+        return None
+    # play looks like a delay in part: what decides allows for one, the size of the error does not
+    timely = [replace(piece, delayed=np.zeros_like(piece.delayed)) for piece in pieces]
+    (*_, std, tau), _ = _least(lambda p: _nats(timely, *_split(p)), found, _LIMITS)
+    return LastingError(float(np.exp(std)), float(np.exp(tau)), none - nats)
+
+
+def _split(p: Array) -> tuple[Array, float, float]:
+    """Factors (3,) on noise, σ and τ, of their logarithms (5,)."""
+    return np.exp(p[:3]), float(np.exp(p[3])), float(np.exp(p[4]))
+
+
+def _least(cost: Callable[[Array], float], start: Array, limits: Array) -> tuple[Array, float]:
+    """Where a cost of logarithms (P,) is least, and the cost there, between the limits (P,2)."""
+    from scipy.optimize import minimize
+
+    start = np.clip(start, limits[:, 0] + 0.1, limits[:, 1] - 1.1)
+    simplex = np.vstack([start, start + np.eye(len(start))])
+    options = {"xatol": 0.02, "fatol": 0.05, "maxfev": 60 * len(start), "initial_simplex": simplex}
+    found = minimize(cost, start, method="Nelder-Mead", bounds=limits, options=options)
+    return np.asarray(found.x), float(found.fun)
+
+
+def _nats(pieces: Sequence[Residuals], factors: Array, std: float = 0.0, seconds: float = 1.0) -> float:
+    """−ln p of all residuals, for factors (3,) on noise, and a lasting error (rad, s)."""
+    total = 0.0
+    for piece in pieces:
+        cov = _sound_covariance(piece, factors)
+        root = _root(cov + std**2 * piece.lasting(seconds) if std else cov)
+        white = np.linalg.solve(root, piece.residual)
+        total += float(0.5 * white @ white + np.log(np.diag(root)).sum())
+    return total
+
+
+def _root(cov: Array) -> Array:
+    """The Cholesky factor of a covariance, with as much white noise as rounding needs."""
+    size = len(cov)
+    return np.linalg.cholesky(cov + _JITTER * np.trace(cov) / size * np.eye(size))
+
+
+def _size(pieces: Sequence[Residuals]) -> float:
+    """The size (rad) that encoder errors have if they make all residuals."""
+    squares = sum(float(np.square(piece.residual).sum()) for piece in pieces)
+    slopes = sum(float(np.square(piece.slopes).sum()) for piece in pieces)
+    return max(float(np.sqrt(squares / max(slopes, 1e-300))), 1e-9)

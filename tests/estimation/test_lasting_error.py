@@ -1,0 +1,70 @@
+"""Errors of encoders that last: found without truth, and error bars that are wider for them."""
+
+import numpy as np
+import pytest
+
+from bodylog import verdict
+from bodylog.estimation import estimate
+from bodylog.evaluation.scores import at_times
+from bodylog.settings import Estimation
+from bodylog.sim.hardware import Hardware
+from bodylog.types import LASTING_ERROR, Series
+from tests.estimation import mechanisms
+from tests.estimation.mechanisms import Fault, Mechanism
+
+CORRELATED = Mechanism(5e-4, Hardware(correlated=2e-3, correlation_s=2.0))
+LOOSE = Mechanism(5e-4, Hardware(play=8e-3))
+METHODS = ("laplace", "smoother")
+SOUND = ("sound", "quantised", "quiet")
+
+
+def truth(seed, mechanism):
+    """The links' angles during the run of this seed, by what encoders without errors read."""
+    quiet = Mechanism(0.0, Hardware())
+    motors = mechanisms.replayed(seed, quiet, Fault()).joints
+    values = mechanisms.add_play(motors.values, mechanism.hardware.play)
+    return Series(motors.t, values, motors.names, "rad", motors.source_ns)
+
+
+def nees(found, true):
+    error = found.joints.values - at_times(true, list(found.joints.names), found.joints.t)
+    return float((error**2 / np.einsum("nii->ni", found.cov)).mean())
+
+
+def without_widening(monkeypatch):
+    from bodylog.estimation.methods import results
+
+    monkeypatch.setattr(results, "find_lasting_error", lambda *_: None)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("mechanism", "std"), [(CORRELATED, 2e-3), (LOOSE, 4e-3)], ids=["correlated", "play"])
+def test_error_bars_hold_an_error_that_lasts_and_a_warning_tells_its_size(method, mechanism, std, monkeypatch):
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    features, true = mechanisms.replayed(4, mechanism, Fault()), truth(4, mechanism)
+    found = estimate(features, body, Estimation(method=method), "off")
+    own = found.settings[LASTING_ERROR]
+    assert own["std"] == pytest.approx(std, rel=0.5) and own["nats"] > 12.0
+    assert 0.3 < nees(found, true) < 2.0
+    (warning,) = (one for one in found.findings if "errors last about" in one.text)
+    assert warning.severity == "warning" and "mrad" in warning.text
+    assert any("errors last about" in line for line in verdict.of_estimate(found, ()))
+    without_widening(monkeypatch)
+    narrow = estimate(features, body, Estimation(method=method), "off")
+    assert nees(narrow, true) > 5.0
+    assert np.array_equal(narrow.joints.values, found.joints.values)
+    assert np.allclose(found.cov - narrow.cov, own["std"] ** 2 * np.eye(3))
+
+
+@pytest.mark.parametrize("mechanism", [mechanisms.SOUND, mechanisms.QUANTISED, mechanisms.QUIET], ids=SOUND)
+def test_a_sound_log_gets_no_warning_and_keeps_its_error_bars(mechanism):
+    body = mechanisms.learned(1000, mechanism)
+    for seed in range(3):
+        found = estimate(mechanisms.replayed(seed, mechanism, Fault(), reaches=seed % 2 == 1), body, Estimation())
+        assert LASTING_ERROR not in found.settings
+
+
+def test_noise_that_is_set_is_left_as_it_is():
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    features = mechanisms.replayed(4, CORRELATED, Fault())
+    assert LASTING_ERROR not in estimate(features, body, Estimation(precision="model")).settings
