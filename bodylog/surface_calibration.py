@@ -31,6 +31,8 @@ _LEAST_RANGE = 0.02
 """rad or m that a joint moves at least to count as moving."""
 _LEAST_SHARE = 0.25
 """Share of the moving pieces that the robot must explain."""
+_LEAST_SHARE_OF_ONE = 0.15
+"""Share of the moving pieces of one log of several that the robot must explain."""
 _CONTROL_RATIO = 0.6
 """Most pieces that the joints of another time may explain, as a share of those that the joints explain."""
 _CONTROL_PIECES = 120
@@ -40,38 +42,65 @@ _CONTROL_PIECES = 120
 class SurfaceCalibration:
     """A camera's calibration by the surface: the fit, the covariance (P,P) of its unknowns φ, and what it is based on.
 
-    camera: its name, "" the first · moving: pieces that moved · joint_of {name in the log: joint in the URDF}.
+    camera: its name, "" the first · logs: that show it, in the order of the fit's delays · moving: pieces that moved ·
+    size (width, height) px · picture (h,w): median of the first log's images, shrunken and grey · joint_of {name in
+    the logs: joint in the URDF} · still: angles, rad or m, of the joints at rest.
     """
 
     camera: str
+    logs: tuple[Path, ...]
     fit: "LandmarkFit"
     covariance: Array
     moving: int
+    size: tuple[int, int]
+    picture: Array | None
     joint_of: Mapping[str, str]
-    still_joints: tuple[str, ...]
+    still: Mapping[str, float]
 
 
-def calibrate_cameras(log: Path, read: Recording, settings: "Settings") -> Iterator[SurfaceCalibration | EvidenceError]:
-    """Yield each camera's calibration, or why there is none. ModelError where no joint of the URDF is in the log."""
+@dataclass(frozen=True, eq=False)
+class _Film:
+    """What one log shows through one camera: its number among the logs, its tracks and its median picture."""
+
+    log: Path
+    number: int
+    tracks: "CornerTracks"
+    picture: Array | None
+
+
+def calibrate_cameras(
+    logs: Sequence[tuple[Path, Recording]], settings: "Settings"
+) -> Iterator[SurfaceCalibration | EvidenceError]:
+    """Yield each camera's calibration from all logs of one robot together, or why there is none.
+
+    The logs have one camera, lens, row time and zeros; each has a delay. ModelError where no joint of the URDF is in a
+    log, EvidenceError where no joint moves.
+    """
     from .robot_model import named_robot
 
-    robot = named_robot(log, settings)
-    joint_of, motion, still = moving_joints(log, read, robot)
-    films = {"": read.frames, **read.views}
-    for name, film in films.items():
-        if film is None:
-            continue
+    first, read = logs[0]
+    robot = named_robot(first, settings)
+    joint_of, motions, still = moving_joints(logs, robot)
+    hints = camera_hints(first, robot, read, settings)
+    for name in dict.fromkeys(name for _, one in logs for name in _films(one)):
         try:
-            tracks = _tracked(log, name, film)
-            hint = camera_hints(log, robot, read, settings).get(name)
-            fit, moving = _calibrated(log, name, robot, motion, joint_of, still, tracks, hint, settings)
+            films = list(_tracked(logs, name))
+            fit, moving = _calibrated(name, films, robot, motions, joint_of, still, hints.get(name), settings)
         except EvidenceError as problem:
             yield problem
             continue
         from .kinematics.landmark_errors import unknowns_covariance
 
-        names = tuple(joint for joint in robot.by_name if joint in still)
-        yield SurfaceCalibration(name, fit, unknowns_covariance(fit), moving, joint_of, names)
+        rest = {joint: still[joint] for joint in robot.by_name if joint in still}
+        seen_by = tuple(film.log for film in films)
+        size, picture = films[0].tracks.size, films[0].picture
+        yield SurfaceCalibration(name, seen_by, fit, unknowns_covariance(fit), moving, size, picture, joint_of, rest)
+
+
+def _films(read: Recording) -> dict[str, Callable[[], Iterator[Frame]]]:
+    """The frames of each camera of a log, "" the first."""
+    films = {"": read.frames, **read.views}
+    return {name: film for name, film in films.items() if film is not None}
 
 
 def camera_hints(log: Path, robot: "Robot", read: Recording, settings: "Settings") -> "dict[str, CameraHint]":
@@ -89,32 +118,47 @@ def camera_hints(log: Path, robot: "Robot", read: Recording, settings: "Settings
 
 
 def moving_joints(
-    log: Path, read: Recording, robot: "Robot"
-) -> "tuple[dict[str, str], JointMotion, dict[str, float]]":
-    """The log's joints that move, with their names in the URDF, as curves; the angles, rad, of those at rest.
+    logs: Sequence[tuple[Path, Recording]], robot: "Robot"
+) -> "tuple[dict[str, str], list[JointMotion], dict[str, float]]":
+    """The joints that move in any log, with their names in the URDF, as curves of each log; the angles of the others.
 
-    ModelError where the URDF has none of the log's joints, EvidenceError where none moves.
+    ModelError where the URDF has none of a log's joints, or logs have different ones; EvidenceError where none moves.
     """
     import numpy as np
 
-    from .kinematics.joint_names import match_joints
-    from .kinematics.robot import MOVING
-
-    joints = read.joints
-    if joints is None:
-        raise EvidenceError(f"{log}: no joint states in it; the surface of a robot needs them")
-    known = [joint.name for joint in robot.joints if joint.kind in MOVING and joint.mimic is None]
-    joint_of = match_joints(joints.names, known)
-    if not joint_of:
-        names, have = ", ".join(joints.names[:12]), ", ".join(known[:12])
-        raise ModelError(f"{robot.source}: none of the joints of {log} ({names}) is in it; it has {have}")
-    columns = {name: joints.values[:, list(joints.names).index(name)] for name in joint_of}
+    joint_of, columns = dict[str, str](), dict[str, Array]()
+    for number, (log, read) in enumerate(logs):
+        matched = _matched(log, read, robot)
+        if number and matched != joint_of:
+            differing = sorted({*matched.items()} ^ {*joint_of.items()})[0][0]
+            raise ModelError(f"{log}: {logs[0][0]} has other joints: {differing!r} is in one of them alone")
+        joint_of = matched
+        assert read.joints is not None
+        for name in joint_of:
+            values = read.joints.values[:, list(read.joints.names).index(name)]
+            columns[name] = np.concatenate([columns.get(name, np.zeros(0)), values])
     ranges = {name: _range(column) for name, column in columns.items()}
     still = {joint_of[name]: float(np.nanmedian(columns[name])) for name in joint_of if ranges[name] < _LEAST_RANGE}
     moving = {name: joint for name, joint in joint_of.items() if ranges[name] >= _LEAST_RANGE}
     if not moving:
-        raise EvidenceError(f"{log}: none of its joints moves; the surface of a robot tells nothing then")
-    return moving, smoothed_motion(joints, tuple(moving)), still
+        raise EvidenceError(f"{logs[0][0]}: none of its joints moves; the surface of a robot tells nothing then")
+    motions = [smoothed_motion(read.joints, tuple(moving)) for _, read in logs if read.joints is not None]
+    return moving, motions, still
+
+
+def _matched(log: Path, read: Recording, robot: "Robot") -> dict[str, str]:
+    """The URDF's joint of each of a log's joints that it has."""
+    from .kinematics.joint_names import match_joints
+    from .kinematics.robot import MOVING
+
+    if read.joints is None:
+        raise EvidenceError(f"{log}: no joint states in it; the surface of a robot needs them")
+    known = [joint.name for joint in robot.joints if joint.kind in MOVING and joint.mimic is None]
+    joint_of = match_joints(read.joints.names, known)
+    if not joint_of:
+        names, have = ", ".join(read.joints.names[:12]), ", ".join(known[:12])
+        raise ModelError(f"{robot.source}: none of the joints of {log} ({names}) is in it; it has {have}")
+    return joint_of
 
 
 def _range(column: Array) -> float:
@@ -142,53 +186,86 @@ def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointMotion":
     return joint_motion(grid, np.stack(columns, axis=1))
 
 
-def _tracked(log: Path, camera: str, film: Callable[[], Iterator[Frame]]) -> "CornerTracks":
+def _tracked(logs: Sequence[tuple[Path, Recording]], camera: str) -> Iterator[_Film]:
+    """Yield what each log shows through a camera; EvidenceError where too little moves or images differ in size."""
     from .kinematics.landmark_fit import LEAST_PIECES
     from .perception.surface.corner_tracks import moving_pieces, track_corners
 
-    tracks, _ = track_corners(film)
-    moving = moving_pieces(tracks)
-    if len(moving) < LEAST_PIECES:
-        raise EvidenceError(
-            f"{log}: {camera or 'camera'}: {len(moving)} corners move in its images; the surface needs {LEAST_PIECES}"
-        )
-    return tracks.take(moving)
+    size: tuple[int, int] | None = None
+    for number, (log, read) in enumerate(logs):
+        film = _films(read).get(camera)
+        if film is None:
+            continue
+        where = f"{log}: {camera or 'camera'}"
+        tracks, survey = track_corners(film)
+        moving = moving_pieces(tracks)
+        if len(moving) < LEAST_PIECES:
+            raise EvidenceError(f"{where}: {len(moving)} corners move in its images; the surface needs {LEAST_PIECES}")
+        size = size or tracks.size
+        if tracks.size != size:
+            found, first = ("x".join(map(str, one)) for one in (tracks.size, size))
+            raise EvidenceError(f"{where}: images of {found} px, of {first} px in the first log; fit them apart")
+        yield _Film(log, number, tracks.take(moving), survey.median)
 
 
 def _calibrated(
-    log: Path, name: str, robot: "Robot", motion: "JointMotion", joint_of: Mapping[str, str],
-    still: Mapping[str, float], tracks: "CornerTracks", hint: "CameraHint | None", settings: "Settings",
+    name: str, films: Sequence[_Film], robot: "Robot", motions: "Sequence[JointMotion]", joint_of: Mapping[str, str],
+    still: Mapping[str, float], hint: "CameraHint | None", settings: "Settings",
 ) -> "tuple[LandmarkFit, int]":  # fmt: skip
     """The fit of one camera, and the number of pieces it was tried on; EvidenceError where the arm is not seen."""
     from math import radians
 
-    from .kinematics.landmark_fit import MOST_PIECES, build_model, choose_pieces
+    from .kinematics.landmark_fit import build_model, choose_pieces
     from .kinematics.landmarks import sightings
     from .kinematics.links import CameraHint, Space
 
     zero_std = radians(settings.kinematics.offset_prior)
     space = Space(robot, tuple(joint_of.values()), dict(still), zero_std)
-    hint = replace(hint or CameraHint(), size=tracks.size)
-    seen = sightings([(tracks.piece, tracks.t[tracks.frame], tracks.uv)], tracks.size[1])
-    part = seen.take(choose_pieces(seen, MOST_PIECES)).thinned(ROW_STRIDE)
-    few = seen.take(choose_pieces(seen, _SEARCH_PIECES)).thinned(_SEARCH_STRIDE)
+    size = films[0].tracks.size
+    hint = replace(hint or CameraHint(), size=size)
+    seen = sightings([(one.tracks.piece, one.tracks.t[one.tracks.frame], one.tracks.uv) for one in films], size[1])
+    part = seen.take(choose_pieces(seen, _most_pieces(len(films)))).thinned(ROW_STRIDE)
+    few = seen.take(choose_pieces(seen, -(-_SEARCH_PIECES // len(films)))).thinned(_SEARCH_STRIDE)
+    own_motions = [motions[one.number] for one in films]
     best: LandmarkFit | None = None
     for cameras in _start_cameras(name or "camera", robot, space, hint):
-        models = [build_model(space, camera, [motion], zero_std) for camera in cameras[:1]]
+        models = [build_model(space, camera, own_motions, zero_std) for camera in cameras[:1]]
         for found in _fits(models[0], cameras, few, part):
             if best is None or len(found.used) > len(best.used):
                 best = found
         if best is not None and len(best.used) >= _LEAST_SHARE * part.count:
             break
-    where = f"{log}: {name or 'camera'}"
+    where = f"{films[0].log}: {name or 'camera'}"
     if best is None or len(best.used) < _LEAST_SHARE * part.count:
         count = 0 if best is None else len(best.used)
         raise EvidenceError(f"{where}: the joints explain {count} of {part.count} moving corners; no arm is seen")
-    control = _control(best, part)
-    if control > _CONTROL_RATIO * len(best.used):
-        text = f"the joints of another time explain the corners as well ({control} against {len(best.used)})"
-        raise EvidenceError(f"{where}: {text}; the images do not belong to the joints")
+    _require_belonging(name, films, best, part)
     return best, part.count
+
+
+def _most_pieces(logs: int) -> int:
+    """Pieces of each log that are used: of many logs fewer each, since together they tell enough."""
+    from .kinematics.landmark_fit import MOST_PIECES
+
+    return MOST_PIECES if logs == 1 else MOST_PIECES // 2
+
+
+def _require_belonging(name: str, films: Sequence[_Film], best: "LandmarkFit", part: "Sightings") -> None:
+    """EvidenceError where the joints of another time explain a log's corners as well, or they explain few of them."""
+    import numpy as np
+
+    used = np.bincount(part.log[part.begins][best.used], minlength=len(films))
+    count = np.bincount(part.log[part.begins], minlength=len(films))
+    control = _control(best, part)
+    for number, film in enumerate(films):
+        where = f"{film.log}: {name or 'camera'}"
+        if used[number] < _LEAST_SHARE_OF_ONE * count[number]:
+            text = f"the joints explain {used[number]} of {count[number]} moving corners; no arm is seen"
+            raise EvidenceError(f"{where}: {text}, though other logs show one" if len(films) > 1 else text)
+        if control[number] > _CONTROL_RATIO * used[number]:
+            shares = f"{control[number]} against {used[number]}"
+            text = f"the joints of another time explain the corners as well ({shares})"
+            raise EvidenceError(f"{where}: {text}; the images do not belong to the joints")
 
 
 def _start_cameras(
@@ -219,16 +296,23 @@ def _fits(
             yield found
 
 
-def _control(best: "LandmarkFit", part: "Sightings") -> int:
-    """Pieces that the same robot explains with the joints of another time: half the log later, in a circle."""
+def _control(best: "LandmarkFit", part: "Sightings") -> Array:
+    """Pieces of each log that the joints of another time explain: those of half the log later, in a circle."""
+    import numpy as np
+
     from .kinematics.landmark_fit import choose_pieces, staged_fit
     from .kinematics.landmarks import LandmarkModel
 
+    logs = len(best.model.motions)
     motions = tuple(shifted_motion(motion) for motion in best.model.motions)
     model = LandmarkModel(best.model.rig, best.model.bodies, motions)
     few = part.take(choose_pieces(part, _CONTROL_PIECES))
     found = staged_fit(model, best.phi, few)
-    return 0 if found is None else round(len(found.used) * part.count / few.count)
+    if found is None:
+        return np.zeros(logs, int)
+    tried, count = (np.bincount(one.log[one.begins], minlength=logs) for one in (few, part))
+    explained = np.bincount(few.log[few.begins][found.used], minlength=logs)
+    return np.asarray(np.round(explained * count / np.maximum(tried, 1)).astype(int))
 
 
 def shifted_motion(motion: "JointMotion") -> "JointMotion":

@@ -33,7 +33,7 @@ def examine(log: Path, settings: Settings) -> Examined:
     read = middle(recording.read(log, settings, settings.input.strict), LONGEST_S, MOST_IMAGES)
     scores, findings = list[Score](), list[Finding]()
     try:
-        for one in calibrate_cameras(log, read, settings):
+        for one in calibrate_cameras([(log, read)], settings):
             if isinstance(one, EvidenceError):
                 findings.append(Finding("info", f"{one}; nothing is learned from its images"))
                 continue
@@ -95,5 +95,5 @@ def _findings(one: SurfaceCalibration) -> Iterator[Finding]:
             yield Finding("warning", f"{zero.joint}: its zero is off by {zero.shown}")
     for reason in unidentified(found):
         yield Finding("info", reason)
-    if one.still_joints:
-        yield Finding("info", f"joints at rest, of which nothing is told: {', '.join(one.still_joints)}")
+    if one.still:
+        yield Finding("info", f"joints at rest, of which nothing is told: {', '.join(one.still)}")

@@ -81,7 +81,8 @@ def reduce_normal(
     length = np.linalg.norm(innovation, axis=1)
     weight = DATA_SHARE * np.minimum(1.0, _KNEE_SIGMA / np.maximum(length, 1e-9))
     loss = np.where(length <= _KNEE_SIGMA, length**2, _KNEE_SIGMA * (2.0 * length - _KNEE_SIGMA))
-    mean, std = model.prior
+    beyond = phi - model.prior[0]
+    prior_pull = model.prior_precision @ beyond
     centres, sizes = expected_places(model, landmarks.body)
     weighted_place = (by_place * weight[:, None, None]).transpose(0, 2, 1)
     place_matrix = seen.sums(weighted_place @ by_place)
@@ -91,14 +92,14 @@ def reduce_normal(
     place_pull += (centres - landmarks.places) / sizes[:, None] ** 2
     shared = by_shared.reshape(-1, len(phi))
     scaled = shared * np.repeat(weight, 2)[:, None]
-    matrix = scaled.T @ shared + np.diag(std**-2.0)
-    pull = scaled.T @ innovation.reshape(-1) + (mean - phi) / std**2
+    matrix = scaled.T @ shared + model.prior_precision
+    pull = scaled.T @ innovation.reshape(-1) - prior_pull
     eliminated = np.linalg.solve(place_matrix, np.concatenate([cross, place_pull[..., None]], axis=2))
     flat = cross.reshape(-1, len(phi))
     matrix -= flat.T @ eliminated[..., :-1].reshape(-1, len(phi))
     pull -= flat.T @ eliminated[..., -1].reshape(-1)
     rows = by_shared - by_place @ eliminated[seen.piece, :, :-1]
-    cost = float(DATA_SHARE * loss.sum() + np.square((phi - mean) / std).sum())
+    cost = float(DATA_SHARE * loss.sum() + beyond @ prior_pull)
     cost += float((np.square(landmarks.places - centres).sum(axis=1) / sizes**2).sum())
     return Reduced(matrix, pull, cost, place_matrix, cross, place_pull, rows, innovation, residual, weight)
 

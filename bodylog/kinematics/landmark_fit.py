@@ -101,27 +101,33 @@ class LandmarkFit:
         return float(np.sqrt((weight[:, None] * np.square(self.reduced.residual)).sum() / (2.0 * weight.sum())))
 
 
-def search_cost(model: LandmarkModel, phi: Array, seen: Sightings) -> float:
-    """Mean square error, px², of the pieces on their best bodies, each at most _SEARCH_CAP_PX."""
+def search_costs(model: LandmarkModel, phi: Array, seen: Sightings) -> Array:
+    """Square errors (K,), px², of the pieces on their best bodies, each at most _SEARCH_CAP_PX squared."""
     error = assign(model, phi, seen).error
-    return float(np.square(np.minimum(error, _SEARCH_CAP_PX)).mean())
+    return np.asarray(np.square(np.minimum(error, _SEARCH_CAP_PX)))
 
 
 def search_delay(model: LandmarkModel, phi: Array, seen: Sightings) -> tuple[Array, float]:
-    """φ with the delay, the same in all logs, of least cost on a coarse grid, and that cost."""
-    best, least = phi, np.inf
-    for delay in _DELAY_GRID_S:
+    """φ with each log's delay of least cost on a coarse grid, and the mean cost of all pieces with these."""
+    logs = seen.log[seen.begins]
+    sums = np.empty((len(_DELAY_GRID_S), len(model.motions)))
+    for number, delay in enumerate(_DELAY_GRID_S):
         there = phi.copy()
         there[model.of_delays] = delay
-        cost = search_cost(model, there, seen)
-        if cost < least:
-            best, least = there, cost
-    return best, least
+        sums[number] = np.bincount(logs, search_costs(model, there, seen), len(model.motions))
+    found = phi.copy()
+    found[model.of_delays] = _DELAY_GRID_S[np.argmin(sums, axis=0)]
+    return found, float(sums.min(axis=0).sum() / seen.count)
 
 
 def choose_pieces(seen: Sightings, most: int) -> Array:
-    """At most `most` pieces, evenly spread over the logs and their times: numbers, ascending."""
-    return np.unique(np.linspace(0, seen.count - 1, min(seen.count, most)).round().astype(int))
+    """At most `most` pieces of each log, evenly spread over its time: numbers, ascending."""
+    logs = seen.log[seen.begins]
+    chosen = []
+    for log in np.unique(logs):
+        own = np.flatnonzero(logs == log)
+        chosen.append(own[np.unique(np.linspace(0, len(own) - 1, min(len(own), most)).round().astype(int))])
+    return np.concatenate(chosen)
 
 
 def staged_fit(

@@ -87,19 +87,40 @@ class Sightings:
 
 
 @dataclass(frozen=True, eq=False)
+class Belief:
+    """What earlier logs tell of the unknowns φ: mean (P,) and covariance (P,P)."""
+
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
 class LandmarkModel:
     """A rig with one camera and no markers, the bodies that bear landmarks, and the motion of each log's joints.
 
-    Its unknowns φ (P,) are the rig's θ, one delay (s) per log, and the row time (s).
+    Its unknowns φ (P,) are the rig's θ, one delay (s) per log, and the row time (s). belief: their prior where earlier
+    logs tell of them; else they are independent, as the rig doubts them.
     """
 
     rig: Rig
     bodies: tuple[LandmarkBody, ...]
     motions: tuple[JointMotion, ...]
+    belief: Belief | None = None
+
+    @cached_property
+    def prior_precision(self) -> Array:
+        """The inverse (P,P) of the prior's covariance."""
+        std = self.prior[1]
+        if self.belief is None:
+            return np.diag(std**-2.0)
+        scaled = self.belief.covariance / std / std[:, None]
+        return np.asarray(np.linalg.inv(scaled) / std / std[:, None])
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
         """Prior mean (P,) and standard deviation (P,) of φ."""
+        if self.belief is not None:
+            return self.belief.mean, np.sqrt(np.diag(self.belief.covariance))
         mean, std = self.rig.prior
         logs = len(self.motions)
         return (

@@ -10,8 +10,8 @@ from bodylog.kinematics import urdf
 from bodylog.kinematics.joint_motion import JointMotion, joint_motion
 from bodylog.kinematics.landmark_adjustment import Landmarks, adjust, assign, reduce_normal, whiten
 from bodylog.kinematics.landmark_errors import unknowns_covariance
-from bodylog.kinematics.landmark_fit import LandmarkFit, build_model, search_delay, staged_fit
-from bodylog.kinematics.landmarks import LandmarkModel, Sightings, sightings
+from bodylog.kinematics.landmark_fit import LandmarkFit, build_model, choose_pieces, search_delay, staged_fit
+from bodylog.kinematics.landmarks import Belief, LandmarkModel, Sightings, sightings
 from bodylog.kinematics.links import FREE_LENS, TF_POSE, Space
 from bodylog.kinematics.rig import Camera
 from bodylog.types import Array
@@ -179,3 +179,35 @@ def test_more_pairs_of_links_than_can_be_compared_are_refused():
     with pytest.raises(ModelError, match=r"hand.urdf: 6561 pairs of links .*, as 80 of its joints move; at most 4096 "):
         list(space.pairs(None, None))
     assert len([pair for some in space.pairs("palm", None) for pair in some]) == 80
+
+
+def test_two_logs_find_one_camera_and_a_delay_each():
+    built = model([motion(60), motion(61)])
+    delays = [0.02, 0.11]
+    ones = [model([one]) for one in built.motions]
+    parts = [seen(one, truth(one, delay), 62 + k)[0] for k, (one, delay) in enumerate(zip(ones, delays, strict=True))]
+    both = sightings([(part.piece, part.t, part.uv) for part in parts], 480.0)
+    start, _ = search_delay(built, built.prior[0].copy(), both.thinned(4))
+    np.testing.assert_allclose(start[built.of_delays], delays, atol=0.03)
+    chosen = choose_pieces(both, 60)
+    assert (np.bincount(both.log[both.begins][chosen]) == 60).all()
+    found = staged_fit(built, start, both.take(chosen).thinned(2))
+    assert found is not None
+    np.testing.assert_allclose(found.phi[built.of_delays], delays, atol=0.003)
+    std = np.sqrt(np.diag(unknowns_covariance(found)))
+    assert abs(found.phi[6] - LENS[0]) < 3.0 * std[6]
+
+
+def test_belief_of_earlier_logs_is_a_prior():
+    built = model([motion(70)])
+    phi = truth(built)
+    part, body = seen(built, phi, 71, pieces=30)
+    mean, std = built.prior
+    same = replace(built, belief=Belief(mean, np.diag(std**2)))
+    few = Landmarks(body, assign(built, phi, part).places)
+    plain, believed = (reduce_normal(one, phi, part, few) for one in (built, same))
+    np.testing.assert_allclose(believed.matrix, plain.matrix, rtol=1e-6, atol=1e-6 * np.abs(plain.matrix).max())
+    assert believed.cost == pytest.approx(plain.cost)
+    sure = replace(built, belief=Belief(phi, np.diag((1e-4 * std) ** 2)))
+    held, _, _ = adjust(sure, phi, part, few, np.ones(len(phi), bool))
+    assert (np.abs(held - phi) < 1e-3 * std).all()
