@@ -182,7 +182,9 @@ def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointMotion":
         finite = np.isfinite(readings)
         signal = angle_smoother.chain(joints.t[finite], readings[finite])
         motion = angle_smoother.fit([signal], 3)
-        columns.append(angle_smoother.posterior(signal, motion, grid)[0])
+        # a joint's own readings may begin later and end earlier than those of other topics
+        within = np.clip(grid, signal.t[0], signal.t[-1])
+        columns.append(angle_smoother.posterior(signal, motion, within)[0])
     return joint_motion(grid, np.stack(columns, axis=1))
 
 

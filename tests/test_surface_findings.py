@@ -3,12 +3,14 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from bodylog import surface_findings
+from bodylog import surface_calibration, surface_findings
 from bodylog.delay_findings import Examined
 from bodylog.errors import ModelError
 from bodylog.settings import Kinematics, Settings
+from bodylog.types import Series
 
 FIXTURES = Path(__file__).parents[1] / "fixtures" / "arm"
 G1 = Path(__file__).parents[2] / "shared" / "real" / "g1"
@@ -35,6 +37,15 @@ def test_robot_without_the_logs_joints_is_refused(tmp_path):
     urdf.write_text(UNRELATED)
     with pytest.raises(ModelError, match="none of the joints of"):
         examined(FIXTURES / "reach.mcap", urdf)
+
+
+def test_motion_is_known_beyond_the_readings_of_a_slower_topic():
+    t = np.arange(0.0, 2.0, 0.01)
+    values = np.column_stack([np.sin(t), np.where((t > 0.1) & (t < 1.9), np.cos(t), np.nan)])
+    joints = Series(t, values, ("fast", "slow"), "rad", np.zeros(len(t), np.int64))
+    motion = surface_calibration.smoothed_motion(joints, ("fast", "slow"))
+    assert np.isfinite(motion.q).all()
+    np.testing.assert_allclose(motion.at(np.array([1.0]))[0][0], [np.sin(1.0), np.cos(1.0)], atol=0.01)
 
 
 def test_surface_of_a_rendered_arm_gives_delay_and_lens(worlds, run_cli, capsys):
