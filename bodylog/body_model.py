@@ -45,11 +45,50 @@ class TouchConstants:
 
 
 @dataclass(frozen=True, eq=False)
+class SurfaceCamera:
+    """A camera that was calibrated by the robot's own surface.
+
+    size (width, height) px · anchor (4,4): its link in the camera before calibration, m · lens (6,) and doubt (12,):
+    prior mean, and prior std of pose and lens · unknowns (P,) ± covariance (P,P): pose (6), lens (6), each joint's
+    zero, row time (s) · delays (L,) s ± delay_std of the logs learned from · picture (h,w): their first log's median
+    image, shrunken, grey levels.
+    """
+
+    name: str
+    topic: str
+    link: str
+    size: tuple[int, int]
+    anchor: Array
+    lens: Array
+    doubt: Array
+    unknowns: Array
+    covariance: Array
+    delays: Array
+    delay_std: Array
+    picture: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The robot's own surface as a sense: its URDF (text), and cameras calibrated on it.
+
+    joint_of {joint of the body: joint of the URDF} · still: angles, rad or m, of the URDF's joints at rest ·
+    zero_std: prior std of joint zeros, rad.
+    """
+
+    urdf: str
+    joint_of: Mapping[str, str]
+    still: Mapping[str, float]
+    zero_std: float
+    cameras: tuple[SurfaceCamera, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class BodyModel:
     """A learned body: joint names in the order of x, one ForwardModel per sense, noise, touch constants, provenance.
 
     cells {skin cell: (u, v, spread) px}: where a touched cell was seen beside the effector, and how far about there;
-    of a cell not in it nothing is known but what `touch` says of all.
+    of a cell not in it nothing is known but what `touch` says of all · surface: where no marker was learned.
     """
 
     joints: tuple[str, ...]
@@ -58,3 +97,4 @@ class BodyModel:
     touch: TouchConstants
     provenance: Mapping[str, Any]
     cells: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
+    surface: Surface | None = None

@@ -70,8 +70,8 @@ def _lens(lens: "Lens") -> dict[str, Any]:
         "centre_std_px": lens.centre_std.tolist(),
         "distortion": lens.distortion.tolist(),
         "distortion_std": lens.distortion_std.tolist(),
-        "row_time_s": None,
-        "row_time_std_s": None,
+        "row_time_s": lens.row_time,
+        "row_time_std_s": lens.row_time_std,
     }
 
 
@@ -80,7 +80,7 @@ def summary(model: "BodyModel") -> tuple[str, ...]:
     from .body.kinematic.model import KinematicGP
     from .body.kinematic.placements import calibration
 
-    if not any(isinstance(sense, KinematicGP) for sense in model.senses.values()):
+    if model.surface is None and not any(isinstance(sense, KinematicGP) for sense in model.senses.values()):
         return ()
     found = calibration(model)
     texts = []
@@ -122,7 +122,10 @@ def lens_line(lens: "Lens") -> str:
     """A lens in px."""
     focal = _values(lens.focal, lens.focal_std, 1)
     centre = _values(lens.centre, lens.centre_std, 1)
-    return f"focal {focal} px, centre {centre} px, k1, k2 {_values(lens.distortion, lens.distortion_std, 3)}"
+    text = f"focal {focal} px, centre {centre} px, k1, k2 {_values(lens.distortion, lens.distortion_std, 3)}"
+    if lens.row_time is None or lens.row_time_std is None:
+        return text
+    return f"{text}, rows {1e3 * lens.row_time:.0f} ± {1e3 * lens.row_time_std:.0f} ms"
 
 
 def _values(values: Any, stds: Any, digits: int) -> str:

@@ -17,7 +17,7 @@ from .checks import (
     same_size,
     to_learn,
 )
-from .errors import UsageError
+from .errors import EvidenceError, InputError, UsageError
 from .fault_findings import fault_warnings, sighting_findings, truth_findings
 from .io.atomic_files import sha256
 from .io.outputs import Output
@@ -108,15 +108,20 @@ def fit(
 
     It is scored on the logs to `test` it with, which it does not learn from.
     """
-    from . import calibration, camera_delay, robot_model
+    from . import calibration, camera_delay, robot_model, surface_body
     from .annotating.background_copy import Copy
     from .body import storage
 
+    asked = settings
     bodies = () if update is None else (update,)
     distinct([*logs, *test, *bodies, *robot_model.urdf_files(settings)], [Output(out)], settings)
     known = None if update is None else storage.load(update)
+    if known is not None and known.surface is not None:
+        raise UsageError(f"{update}: a body of the robot's surface is not learned on; fit all logs together anew")
     settings = settings if known is None else default_features.of_body(known, settings)
     robot_model.check(logs, settings)
+    if surface_body.is_asked(settings):
+        return _fit_surface(logs, out, settings, test)
     digests, observed, camera_findings = [], [], list[Finding]()
     for log in logs:
         with Copy(log) as read_too:
@@ -135,8 +140,17 @@ def fit(
     robot, unfit = robot_model.robot(logs, features, settings)
     features, not_joints = robot_model.joints_of_urdf(features, robot)
     settings = robot_model.with_coordinates(settings, robot)
-    with log_context(logs[0], [*findings, *unfit], len(logs) - 1):
-        learned = camera_delay.learned(features, settings, origin, known, robot)
+    try:
+        with log_context(logs[0], [*findings, *unfit], len(logs) - 1):
+            learned = camera_delay.learned(features, settings, origin, known, robot)
+    except EvidenceError as problem:
+        fallback = known is None and robot is not None and default_features.unconfigured(asked)
+        if not fallback or any(found.poses for found in features):
+            raise
+        try:
+            return _fit_surface(logs, out, asked, test, str(problem))
+        except InputError as also:
+            raise EvidenceError(f"{problem}; nor by the robot's own surface: {also}") from also
     learned = replace(learned, model=robot_model.based(learned.model, robot, features))
     tested, more = learned_tests.score(learned.model, [(log, *observe(log, settings, progress)) for log in test])
     storage.save(learned.model, out)
@@ -146,6 +160,32 @@ def fit(
     text = verdict.of_body(learned.model.joints, scores, placed, others)
     health = learned_tests.merged_health(observed)
     return Result(out, Scores(scores), health, tuple(findings), plain(settings), verdict=text)
+
+
+def _fit_surface(
+    logs: Sequence[Path], out: Path, settings: Settings, test: Sequence[Path], why: str | None = None
+) -> Result:
+    """Learn a body by the robot's own surface and write it; `why`: the reason why there is no other body."""
+    from . import calibration, surface_body
+    from .annotating.background_copy import Copy
+    from .body import storage
+    from .recording import recording
+
+    if test:
+        raise UsageError("--test: a body of the robot's surface foretells no track; type: bodylog estimate LOG --body")
+    digests, read = [], list[tuple[Path, Recording]]()
+    for log in logs:
+        with Copy(log) as read_too:
+            read.append((log, recording.read(log, settings, settings.input.strict)))
+            digests.append((log, read_too.digest()))
+    learned = surface_body.learn(read, settings, provenance(digests, settings))
+    storage.save(learned.model, out)
+    told = () if why is None else (Finding("warning", f"{why}; so it is learned by the robot's own surface"),)
+    findings = (*told, *(finding for _, one in read for finding in one.findings), *learned.findings)
+    placed = calibration.summary(learned.model)
+    text = verdict.of_body(learned.model.joints, learned.scores, placed)
+    by = "by the robot's own surface, without a marker"
+    return Result(out, Scores(learned.scores), {}, findings, plain(settings), verdict=(by, *text))
 
 
 @with_text_paths

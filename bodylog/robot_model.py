@@ -242,6 +242,20 @@ def named_robot(log: Path, settings: Settings) -> "Robot":
     return _from_log(log, text, settings)
 
 
+def named_urdf(log: Path, settings: Settings) -> str:
+    """The text of the URDF that the settings name, or of the log's own. LogError where that is missing."""
+    from .kinematics import urdf
+    from .recording.robot_description import described
+
+    chosen = settings.kinematics.urdf
+    if chosen not in (None, FROM_LOG):
+        return urdf.text(Path(str(chosen)))
+    text = described(log, settings.input).urdf
+    if not text:
+        raise LogError(_NO_URDF.format(log))
+    return text
+
+
 def told_camera(topic: str | None, description: "Described", robot: "Robot") -> "CameraHint | None":
     """What a log's description tells of the camera of an image topic; None without its CameraInfo."""
     from .kinematics.links import CameraHint

@@ -7,7 +7,7 @@ from typing import Any
 from .io.toml_keys import Declared, checked, declared, key, spell
 from .logs.joint_units import counts
 from .logs.limits import Input
-from .sources import Colour, ColourSource, Source, colour_key, is_colour, parse, spelled
+from .sources import Colour, ColourSource, Source, SurfaceSource, colour_key, is_colour, parse, spelled
 
 __all__ = [
     "Body", "Camera", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Kinematics", "Settings", "Skin", "Source",
@@ -280,4 +280,4 @@ def wanted(settings: Settings) -> dict[str, Source]:
     if settings.features and colours.effector == Colours().effector:
         del found["effector"]
     found |= {name: ColourSource(one) for name, one in colours.markers.items()}
-    return found | dict(settings.features)
+    return found | {name: one for name, one in settings.features.items() if not isinstance(one, SurfaceSource)}

@@ -113,7 +113,14 @@ class PointSource:
     at: float = key(0.0, "Time of the frame after the start of the log.", form="number of seconds")
 
 
-Source = ColourSource | TagSource | CharucoSource | TopicSource | TableSource | PointSource
+@dataclass(frozen=True)
+class SurfaceSource:
+    """The robot's own surface: corners on its links, explained by a URDF; no track of its own."""
+
+    surface: bool = key(MISSING, "Learn by the robot's own surface.", accepts=lambda on: on is True, form="true")
+
+
+Source = ColourSource | TagSource | CharucoSource | TopicSource | TableSource | PointSource | SurfaceSource
 
 SOURCES: Mapping[str, type[Source]] = {
     "colour": ColourSource,
@@ -122,6 +129,7 @@ SOURCES: Mapping[str, type[Source]] = {
     "topic": TopicSource,
     "table": TableSource,
     "point": PointSource,
+    "surface": SurfaceSource,
 }
 """The key that identifies a source, and its record; the record's other fields are its other keys."""
 
@@ -166,6 +174,8 @@ def spelled(source: Source) -> Any:
 
 def track_names(name: str, source: Source) -> tuple[str, ...]:
     """The tracks a feature gives: NAME, or NAME.0 and so on where it gives several."""
+    if isinstance(source, SurfaceSource):
+        return ()
     if isinstance(source, CharucoSource):
         columns, rows = source.shape
         return tuple(f"{name}.{k}" for k in range((columns - 1) * (rows - 1)))

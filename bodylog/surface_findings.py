@@ -37,14 +37,15 @@ def examine(log: Path, settings: Settings) -> Examined:
             if isinstance(one, EvidenceError):
                 findings.append(Finding("info", f"{one}; nothing is learned from its images"))
                 continue
-            scores += _scores(one)
-            findings += [Finding(f.severity, f"{log}: {f.text}") for f in _findings(one)]
+            scores += scores_of(one)
+            findings += [Finding(f.severity, f"{log}: {f.text}") for f in findings_of(one)]
     except EvidenceError as problem:
         findings.append(Finding("info", str(problem)))
     return Examined(tuple(scores), tuple(findings))
 
 
-def _scores(one: SurfaceCalibration) -> Iterator[Score]:
+def scores_of(one: SurfaceCalibration) -> Iterator[Score]:
+    """Delay, row time, focal length and zeros with their deviations; the delay is the first log's."""
     import numpy as np
 
     from .body.kinematic.scores import zeros
@@ -66,7 +67,8 @@ def _scores(one: SurfaceCalibration) -> Iterator[Score]:
     yield from zeros(offsets(model.rig, fit.phi, one.covariance))
 
 
-def _findings(one: SurfaceCalibration) -> Iterator[Finding]:
+def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
+    """What a calibration tells in sentences: delay, row time, lens, zeros, and what it does not tell."""
     import numpy as np
 
     from .estimation.timing.correction import worded

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from ..body_model import UNUSED_URDF, BodyModel, Noise, TouchConstants
 from ..errors import ModelError
 from ..io.values import read_json, text
+from . import surface
 from .gp.model import GP
 from .kinematic import storage
 from .kinematic.model import KinematicGP
@@ -27,7 +28,10 @@ LEAST, LARGEST = 1e-30, 1e30
 
 
 class Header(NamedTuple):
-    """The checked header; senses: {name: (kind, outputs, unit)}, links: names of kinematic senses by name."""
+    """The checked header; senses: {name: (kind, outputs, unit)}, links: names of kinematic senses by name.
+
+    surface: names of the surface's part, or None.
+    """
 
     joints: tuple[str, ...]
     noise: Noise
@@ -36,6 +40,7 @@ class Header(NamedTuple):
     senses: dict[str, tuple[str, tuple[str, ...], str]]
     links: dict[str, dict[str, str]]
     provenance: dict[str, Any]
+    surface: dict[str, Any] | None = None
 
 
 def written(model: BodyModel) -> dict[str, Any]:
@@ -45,7 +50,8 @@ def written(model: BodyModel) -> dict[str, Any]:
         | ({"kinematics": storage.names(sense)} if isinstance(sense, KinematicGP) else {})
         for name, sense in model.senses.items()
     }
-    return {
+    seen = {} if model.surface is None else {"surface": surface.names(model.surface)}
+    return seen | {
         "kind": _KIND,
         "version": VERSION,
         "joints": model.joints,
@@ -69,6 +75,7 @@ def read(path: Path, header_text: str) -> Header:
         linked = {text(n): s for n, s in header["senses"].items() if s.get("kind") == KINDS[KinematicGP]}
         links = {name: storage.checked(sense.get("kinematics")) for name, sense in linked.items()}
         provenance = _provenance(header["provenance"])
+        seen = surface.checked(header["surface"], joints) if "surface" in header else None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{path}: field header: {error}; fit the body again") from error
     _check_noise(path, joints, {name: len(about[1]) for name, about in senses.items()}, noise, touch)
@@ -76,7 +83,7 @@ def read(path: Path, header_text: str) -> Header:
     if bad:
         raise ModelError(f"{path}: field cells: found {bad}, possible: cell from 0 on, u, v and a positive spread, px")
     places = {cell: (u, v, spread) for cell, (u, v, spread) in cells.items()}
-    return Header(joints, noise, touch, places, senses, links, provenance)
+    return Header(joints, noise, touch, places, senses, links, provenance, seen)
 
 
 def _parsed(path: Path, header_text: str) -> Mapping[str, Any]:

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ..body_model import BodyModel
+from ..body_model import BodyModel, Surface
 from ..errors import ModelError
 from ..io.atomic_files import replacing
 from ..io.text_paths import with_text_paths
 from ..types import Array
 from . import header
+from . import surface as surface_fields
 from .gp.model import GP
 from .kinematic import storage
 from .kinematic.model import KinematicGP
@@ -60,6 +61,8 @@ def save(model: BodyModel, path: Path) -> None:
         fields = (*_SHAPES[header.KINDS[type(sense)]], *(field for field in own if field in storage.BASE))
         values = {field: own[field] if field in own else getattr(sense, field) for field in fields}
         arrays |= {f"{name}/{field}.npy": np.asarray(value, np.float64) for field, value in values.items()}
+    if model.surface is not None:
+        arrays |= surface_fields.arrays(model.surface)
     text = json.dumps(header.written(model), sort_keys=True)
     header.read(path, text)
     arrays[_HEADER] = np.array(text)
@@ -89,7 +92,37 @@ def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
         name: _sense(path, archive, name, *about, found.joints, found.links.get(name))
         for name, about in found.senses.items()
     }
-    return BodyModel(found.joints, learned, found.noise, found.touch, found.provenance, found.cells)
+    surface = None if found.surface is None else _surface(path, archive, found.surface)
+    return BodyModel(found.joints, learned, found.noise, found.touch, found.provenance, found.cells, surface)
+
+
+def _surface(path: Path, archive: zipfile.ZipFile, about: Mapping[str, Any]) -> Surface:
+    cameras = []
+    for number in range(len(about["cameras"])):
+        sizes, own = dict(_SIZES), dict[str, Array]()
+        for field, letters in surface_fields.SHAPES.items():
+            own[field] = _checked_array(path, archive, f"surface.{number}/{field}", letters, sizes, -header.LARGEST)
+        cameras.append(own)
+    try:
+        return surface_fields.build(about, cameras)
+    except ValueError as error:
+        raise ModelError(f"{path}: field {error}; fit the body again") from error
+
+
+def _checked_array(
+    path: Path, archive: zipfile.ZipFile, name: str, letters: str, sizes: dict[str, int], least: float
+) -> Array:
+    """An array of the shape that letters name, with finite numbers from `least` on; new letters get their sizes."""
+    value = _array(path, archive, f"{name}.npy", "f")
+    found = dict(zip(letters, value.shape, strict=False))
+    expected = tuple(sizes.setdefault(letter, found.get(letter, 0)) for letter in letters)
+    if value.shape != expected or 0 in expected:
+        raise ModelError(f"{path}: field {name}: found shape {value.shape}, possible: {expected}")
+    bad = value[~((value >= least) & (value <= header.LARGEST))]
+    if len(bad):
+        wanted = f"numbers from {least:g} to {header.LARGEST:g}"
+        raise ModelError(f"{path}: field {name}: found {bad[0]}, possible: {wanted}")
+    return value
 
 
 def _sense(
@@ -99,17 +132,8 @@ def _sense(
     sizes = {"d": len(outputs), "m": len(joints), **_SIZES}
     arrays: dict[str, Array] = {}
     for field, letters in (_SHAPES[kind] if links is None else _LEARNED | storage.shapes(links)).items():
-        value = _array(path, archive, f"{name}/{field}.npy", "f")
-        found = dict(zip(letters, value.shape, strict=False))
-        expected = tuple(sizes.setdefault(letter, found.get(letter, 0)) for letter in letters)
-        if value.shape != expected or 0 in expected:
-            raise ModelError(f"{path}: field {name}/{field}: found shape {value.shape}, possible: {expected}")
         least = header.LEAST if field in _POSITIVE else 0.0 if field in _NOT_NEGATIVE else -header.LARGEST
-        bad = value[~((value >= least) & (value <= header.LARGEST))]
-        if len(bad):
-            wanted = f"numbers from {least:g} to {header.LARGEST:g}"
-            raise ModelError(f"{path}: field {name}/{field}: found {bad[0]}, possible: {wanted}")
-        arrays[field] = value
+        arrays[field] = _checked_array(path, archive, f"{name}/{field}", letters, sizes, least)
     if kind in ("gp", "kinematic"):
         plain = GP(outputs, unit, **{field: arrays[field] for field in _LEARNED})
         if links is None:

@@ -51,6 +51,17 @@ def parse(xml: str, source: str, limits: Input = LIMITS) -> Robot:
     return robot
 
 
+def kinematic_text(xml: str) -> str:
+    """A sound URDF's text with the names of its links and its joints alone, without shapes and masses."""
+    from xml.etree.ElementTree import Element, tostring
+
+    whole = element(xml, "URDF")
+    kept = Element("robot", {"name": whole.get("name", "")})
+    kept.extend(Element("link", {"name": link.get("name", "")}) for link in whole.findall("link"))
+    kept.extend(one for one in whole.findall("joint") if "type" in one.attrib or one.find("parent") is not None)
+    return tostring(kept, encoding="unicode")
+
+
 def element(xml: str, source: str) -> "Element":
     """Parse XML to its root element; entities, which may grow without bound or read files, are refused."""
     from xml.etree.ElementTree import TreeBuilder

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...body_model import BodyModel
+from ...body_model import BodyModel, Surface
 from ...kinematics import identifiability
 from ...kinematics.identifiability import Offset
 from ...kinematics.rig import Rig
@@ -69,7 +69,10 @@ def placement_from(plain: Mapping[str, Any]) -> Placement:
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """A lens: focal lengths (2,) px, centre (2,) px and radial distortion k1, k2 (2,), each with its std."""
+    """A lens: focal lengths (2,) px, centre (2,) px and radial distortion k1, k2 (2,), each with its std.
+
+    row_time: s from the first to the last row of an image, None where it was not estimated.
+    """
 
     focal: Array
     focal_std: Array
@@ -77,6 +80,8 @@ class Lens:
     centre_std: Array
     distortion: Array
     distortion_std: Array
+    row_time: float | None = None
+    row_time_std: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +110,8 @@ CALIBRATION = "a calibration"
 
 def calibration(model: BodyModel) -> Calibration:
     """The calibration of a body; ModelError where it was learned without a URDF."""
+    if model.surface is not None:
+        return _of_surface(model.surface)
     senses = list(kinematic_senses(model, CALIBRATION).values())
     first = senses[0]
     covariance = first.root @ first.root.T
@@ -121,7 +128,8 @@ def calibration(model: BodyModel) -> Calibration:
         cameras.setdefault(camera, _camera(rig, theta, spread))
         lenses.setdefault(camera, _lens(rig, theta, spread))
         markers.setdefault(marker, _marker(rig, theta, spread))
-    findings = [*_findings(tuple(cameras.values()), tuple(markers.values()), (*zeros, *scales))]
+    unmeasured = [_without_row_time(one) for one in cameras.values()]
+    findings = [*unmeasured, *_findings(tuple(cameras.values()), tuple(markers.values()), (*zeros, *scales))]
     if not zeros:
         findings.append(_without_zeros(first.rig.joints))
     return Calibration(
@@ -151,6 +159,30 @@ def earlier_placements(rig: Rig, theta: Array, covariance: Array, known: Sequenc
                 when = f"log {logs[0]}" if len(logs) == 1 else f"logs {logs[0]} to {logs[-1]}"
                 found[camera, index] = replace(placed, name=f"{placed.name} in {when}")
     return list(found.values())
+
+
+def _of_surface(surface: Surface) -> Calibration:
+    """The calibration by the robot's own surface; zeros are those that the first camera tells."""
+    from ..surface import landmark_model
+
+    cameras, lenses = list[Placement](), list[Lens]()
+    zeros: tuple[Offset, ...] = ()
+    for camera in surface.cameras:
+        rig = landmark_model(surface, camera).rig
+        theta, spread = camera.unknowns[:-1], camera.covariance[:-1, :-1]
+        every_zero = identifiability.offsets(rig, theta, spread)
+        zeros = zeros or tuple(one for one in every_zero if one.beforehand > identifiability.GIVEN)
+        given, held = _given_zeros(rig, theta, spread, every_zero)
+        cameras.append(_camera(rig, given, held))
+        row, row_std = float(camera.unknowns[-1]), float(np.sqrt(camera.covariance[-1, -1]))
+        lenses.append(replace(_lens(rig, given, held), row_time=row, row_time_std=row_std))
+    findings = tuple(_findings(cameras, (), zeros))
+    sizes = {placed.name: camera.size for placed, camera in zip(cameras, surface.cameras, strict=True)}
+    return Calibration(tuple(cameras), tuple(lenses), (), zeros, (), findings, sizes)
+
+
+def _without_row_time(camera: Placement) -> Finding:
+    return Finding("info", f"{camera.name}: the time from one row of an image to the next is not estimated")
 
 
 def _without_zeros(joints: tuple[str, ...]) -> Finding:
@@ -221,8 +253,6 @@ def _lens(rig: Rig, theta: Array, covariance: Array) -> Lens:
 
 def _findings(cameras: Sequence[Placement], markers: Sequence[Placement], zeros: Sequence[Offset]) -> Iterator[Finding]:
     """Yield a sentence for each thing that is not identifiable."""
-    for one in cameras:
-        yield Finding("info", f"{one.name}: the time from one row of an image to the next is not estimated")
     for one in (*cameras, *markers):
         if not one.identifiable:
             place = f"its place on {one.link} is known to {1e3 * one.place_std.max():.0f} mm"

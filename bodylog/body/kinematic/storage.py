@@ -85,12 +85,12 @@ def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], header
     steps, doubt, count = found["steps"], found["doubt"], len(joints)
     own = 2 * count if _SCALED in header else count
     for field in ("chain", "camera", "marker"):
-        _insist_rigid(found[field], field)
+        insist_rigid(found[field], field)
     for field, most in (("theta", _LARGEST), ("lens", _LARGEST), ("points", _FARTHEST)):
-        _insist((np.abs(found[field]) <= most).all(), field, float(np.abs(found[field]).max()), f"at most {most:g}")
+        insist((np.abs(found[field]) <= most).all(), field, float(np.abs(found[field]).max()), f"at most {most:g}")
     turns = len(doubt) == 18 + own
-    _insist(turns or len(doubt) == 15 + own, "doubt", len(doubt), f"{15 + own} or {18 + own} numbers")
-    _insist((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
+    insist(turns or len(doubt) == 15 + own, "doubt", len(doubt), f"{15 + own} or {18 + own} numbers")
+    insist((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
     chain = _chain(header["start"], header["end"], joints, found["chain"], steps, "steps")
     end = 18 if turns else 15
     rig = Rig(
@@ -106,14 +106,14 @@ def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], header
 
 
 def _chain(start: str, end: str, joints: tuple[str, ...], fixed: Array, steps: Array, field: str) -> Chain:
-    _insist(len(fixed) == len(steps) + 1, field, len(steps), f"{len(fixed) - 1} steps")
+    insist(len(fixed) == len(steps) + 1, field, len(steps), f"{len(fixed) - 1} steps")
     count = len(joints)
-    _insist((np.abs(steps[:, 0]) <= count).all(), field, float(np.abs(steps[:, 0]).max(initial=0.0)), "joints")
+    insist((np.abs(steps[:, 0]) <= count).all(), field, float(np.abs(steps[:, 0]).max(initial=0.0)), "joints")
     column, slides = steps[:, 0].astype(np.int64), steps[:, 3]
-    _insist((column == steps[:, 0]).all() and (column >= 0).all() and (column < count).all(), field, column, "joints")
-    _insist(np.isin(slides, (0.0, 1.0)).all(), field, slides, "0 or 1 in the last column")
+    insist((column == steps[:, 0]).all() and (column >= 0).all() and (column < count).all(), field, column, "joints")
+    insist(np.isin(slides, (0.0, 1.0)).all(), field, slides, "0 or 1 in the last column")
     moves = np.abs(steps[:, 1:3])
-    _insist((moves <= _LARGEST).all(), field, float(moves.max(initial=0.0)), f"at most {_LARGEST:g}")
+    insist((moves <= _LARGEST).all(), field, float(moves.max(initial=0.0)), f"at most {_LARGEST:g}")
     return Chain(start, end, joints, fixed, column, steps[:, 1], steps[:, 2], slides > 0)
 
 
@@ -122,7 +122,7 @@ def _base(joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[s
         return None
     start, end, link, thing = (header[name] for name in _BASE_NAMES)
     for field in ("base", "base_tool"):
-        _insist_rigid(found[field], field)
+        insist_rigid(found[field], field)
     chain = _chain(start, end, joints, found["base"], found["base_steps"], "base_steps")
     return Base(chain, found["base_tool"], link, thing == _THINGS[1])
 
@@ -142,7 +142,7 @@ def checked(header: Any) -> dict[str, str]:
     return {name: header[name] for name in (*_NAMES, *_BASE_NAMES)} | scaled
 
 
-def _insist_rigid(poses: Array, field: str) -> None:
+def insist_rigid(poses: Array, field: str) -> None:
     """ValueError unless poses (4,4) or (K,4,4) turn and move, without scaling, and not beyond _FARTHEST."""
     poses = poses.reshape(-1, 4, 4)
     turn, place = poses[:, :3, :3], poses[:, :3, 3]
@@ -150,9 +150,9 @@ def _insist_rigid(poses: Array, field: str) -> None:
         stretch = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
         mirrored = (np.linalg.det(turn) < 0.0).any()
     rigid = stretch <= _ROUNDING and not mirrored and (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all()
-    _insist(rigid, field, "a matrix that is no pose", "a rotation and a place, above a row of 0, 0, 0, 1")
+    insist(rigid, field, "a matrix that is no pose", "a rotation and a place, above a row of 0, 0, 0, 1")
     farthest = float(np.abs(place).max(initial=0.0))
-    _insist(farthest <= _FARTHEST, field, f"{farthest:g} m", f"at most {_FARTHEST:g} m")
+    insist(farthest <= _FARTHEST, field, f"{farthest:g} m", f"at most {_FARTHEST:g} m")
 
 
 _ROUNDING = 1e-6
@@ -163,6 +163,7 @@ _LARGEST = 1e6
 """Unknowns (m, rad, px, shares), and a step's scale and zero."""
 
 
-def _insist(sound: Any, field: str, found: object, possible: str) -> None:
+def insist(sound: Any, field: str, found: object, possible: str) -> None:
+    """ValueError, naming the field, unless it is sound."""
     if not sound:
         raise ValueError(f"{field}: found {found}, possible: {possible}")

@@ -1,0 +1,150 @@
+"""What a body knows of its surface: a camera on a URDF, rebuilt as a model, and stored as plain arrays and names."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..body_model import Noise, Surface, SurfaceCamera
+from ..errors import FormatError
+from ..io.values import text
+from ..types import Array, Features
+from .kinematic.storage import insist, insist_rigid
+
+if TYPE_CHECKING:
+    from ..kinematics.joint_motion import JointMotion
+    from ..kinematics.landmarks import LandmarkModel
+
+SHAPES = {
+    "anchor": "44",
+    "lens": "6",
+    "doubt": "c",
+    "unknowns": "p",
+    "covariance": "pp",
+    "delays": "l",
+    "delay_std": "l",
+    "picture": "hw",
+}
+"""Arrays of a camera: c is 12, p the unknowns, l logs, h and w the picture's sides."""
+_POSE_AND_LENS = 12
+_MOST_SIDE = 1 << 20
+_LARGEST = 1e6
+
+
+def landmark_model(surface: Surface, camera: SurfaceCamera, motions: "Sequence[JointMotion]" = ()) -> "LandmarkModel":
+    """The model of one camera, without belief, for the motions of some logs."""
+    from ..kinematics import urdf
+    from ..kinematics.landmark_fit import build_model
+    from ..kinematics.links import Space
+    from ..kinematics.rig import Camera
+
+    robot = urdf.parse(surface.urdf, "the body's URDF")
+    space = Space(robot, tuple(surface.joint_of.values()), dict(surface.still), surface.zero_std)
+    placed = Camera(f"camera {camera.name}".strip(), camera.link, camera.anchor, camera.lens, camera.doubt)
+    return build_model(space, placed, motions, surface.zero_std)
+
+
+def joint_noise(features: Sequence[Features], names: tuple[str, ...]) -> Noise:
+    """Noise of the encoders and of the motion of some joints, by evidence on all logs."""
+    from . import noise_estimates
+    from .data.pairs import joints
+
+    return noise_estimates.learned([joint.acceleration for joint in joints(features, names)], {}, {})
+
+
+def names(surface: Surface) -> dict[str, Any]:
+    """The part of the header."""
+    cameras = [{"name": c.name, "topic": c.topic, "link": c.link, "size": list(c.size)} for c in surface.cameras]
+    return {
+        "urdf": surface.urdf,
+        "joint_of": dict(surface.joint_of),
+        "still": dict(surface.still),
+        "zero_std": surface.zero_std,
+        "cameras": cameras,
+    }
+
+
+def arrays(surface: Surface) -> dict[str, Array]:
+    """The arrays of all cameras by their names in the file."""
+    return {
+        f"surface.{number}/{field}.npy": np.asarray(getattr(camera, field), np.float64)
+        for number, camera in enumerate(surface.cameras)
+        for field in SHAPES
+    }
+
+
+def checked(found: Any, joints: tuple[str, ...]) -> dict[str, Any]:
+    """The part of a header; ValueError, naming the field, where it is invalid."""
+    if not isinstance(found, dict):
+        raise ValueError(f"surface: found {str(found)[:80]}, possible: a table")
+    joint_of = {text(log): text(joint) for log, joint in dict(found["joint_of"]).items()}
+    insist(tuple(joint_of) == joints, "surface.joint_of", list(joint_of)[:4], "a joint of the URDF for each of joints")
+    still = {text(joint): _number(f"surface.still.{joint}", angle) for joint, angle in dict(found["still"]).items()}
+    zero_std = _number("surface.zero_std", found["zero_std"])
+    insist(zero_std >= 0.0, "surface.zero_std", zero_std, "0 rad and more")
+    insist(isinstance(found["urdf"], str), "surface.urdf", type(found["urdf"]).__name__, "a text")
+    cameras = [_camera(one) for one in found["cameras"]]
+    insist(bool(cameras), "surface.cameras", "none", "one or more")
+    _insist_robot(found["urdf"], (*joint_of.values(), *still), [one["link"] for one in cameras])
+    return {"urdf": found["urdf"], "joint_of": joint_of, "still": still, "zero_std": zero_std, "cameras": cameras}
+
+
+def _number(field: str, value: Any) -> float:
+    sound = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
+    insist(sound, field, str(value)[:80], f"a number, at most {_LARGEST:g}")
+    return float(value)
+
+
+def _camera(found: Mapping[str, Any]) -> dict[str, Any]:
+    size = found["size"]
+    sides = size if isinstance(size, list) and len(size) == 2 else [0, 0]
+    whole = all(isinstance(side, int) and not isinstance(side, bool) and 1 <= side <= _MOST_SIDE for side in sides)
+    insist(whole, "surface.cameras.size", str(size)[:80], "[width, height] in px")
+    return {**{field: text(found[field]) for field in ("name", "topic", "link")}, "size": tuple(sides)}
+
+
+def _insist_robot(xml: str, joints: Sequence[str], links: Sequence[str]) -> None:
+    from ..kinematics import urdf
+    from ..kinematics.robot import MOVING
+
+    try:
+        robot = urdf.parse(xml, "surface.urdf")
+    except FormatError as problem:
+        raise ValueError(str(problem)) from problem
+    for joint in joints:
+        known = joint in robot.by_name and robot.by_name[joint].kind in MOVING
+        insist(known, "surface.joint_of", joint, "a joint of its URDF that moves")
+    for link in links:
+        insist(link in robot.links, "surface.cameras.link", link, "a link of its URDF")
+
+
+def build(header: Mapping[str, Any], found: Sequence[Mapping[str, Array]]) -> Surface:
+    """Build from a checked header and each camera's arrays; ValueError for inconsistent fields."""
+    count = _POSE_AND_LENS + len(header["joint_of"]) + 1
+    cameras = []
+    for number, (about, own) in enumerate(zip(header["cameras"], found, strict=True)):
+        where = f"surface.{number}"
+        insist_rigid(own["anchor"], f"{where}/anchor")
+        insist(len(own["doubt"]) == _POSE_AND_LENS, f"{where}/doubt", len(own["doubt"]), f"{_POSE_AND_LENS} numbers")
+        insist((own["doubt"] > 0.0).all(), f"{where}/doubt", float(own["doubt"].min()), "positive numbers")
+        insist(len(own["unknowns"]) == count, f"{where}/unknowns", len(own["unknowns"]), f"{count} numbers")
+        for field in ("lens", "unknowns"):
+            largest = float(np.abs(own[field]).max())
+            insist(largest <= _LARGEST, f"{where}/{field}", largest, f"at most {_LARGEST:g}")
+        insist(_is_covariance(own["covariance"]), f"{where}/covariance", "another matrix", "a covariance")
+        insist((own["delay_std"] > 0.0).all(), f"{where}/delay_std", float(own["delay_std"].min()), "positive numbers")
+        fields_of_camera: dict[str, Any] = {**about, **own}
+        cameras.append(SurfaceCamera(**fields_of_camera))
+    fields = ("urdf", "joint_of", "still", "zero_std")
+    return Surface(**{field: header[field] for field in fields}, cameras=tuple(cameras))
+
+
+def _is_covariance(matrix: Array) -> bool:
+    """Whether a matrix (P,P) is symmetric and positive definite."""
+    variance = np.diag(matrix)
+    if not (variance > 0.0).all():
+        return False
+    scaled = matrix / np.sqrt(variance) / np.sqrt(variance)[:, None]
+    if not np.allclose(scaled, scaled.T, atol=1e-9) or np.abs(scaled).max() > 1.0 + 1e-9:
+        return False
+    return bool(np.linalg.eigvalsh(scaled).min() > 0.0)

@@ -1,0 +1,101 @@
+"""Learn a body by the robot's own surface: cameras on a URDF, encoder noise and motion, no track."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .body_model import BodyModel, Surface, SurfaceCamera, TouchConstants
+from .delay_findings import middle
+from .errors import EvidenceError
+from .settings import Settings
+from .sources import SurfaceSource
+from .surface_calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, calibrate_cameras
+from .surface_findings import findings_of, scores_of
+from .types import Features, Finding, Recording, Score
+
+if TYPE_CHECKING:
+    from .body.learning import Learned
+
+
+def is_asked(settings: Settings) -> bool:
+    """Whether [features] names the robot's surface."""
+    return any(isinstance(source, SurfaceSource) for source in settings.features.values())
+
+
+def learn(
+    logs: Sequence[tuple[Path, Recording]], settings: Settings, provenance: Mapping[str, Any]
+) -> "Learned":
+    """Learn a body whose only sense beside the encoders is the robot's surface.
+
+    EvidenceError where no camera shows the arm, or one shows another motion; ModelError where the URDF has no joint of
+    a log.
+    """
+    from .body.learning import Learned
+    from .body.surface import joint_noise
+
+    whole = [(log, middle(read, LONGEST_S, MOST_IMAGES)) for log, read in logs]
+    found = list[SurfaceCalibration]()
+    for one in calibrate_cameras(whole, settings):
+        if isinstance(one, EvidenceError):
+            raise one
+        found.append(one)
+    if not found:
+        raise EvidenceError(f"{logs[0][0]}: no images in it; the surface of a robot needs a camera")
+    features = [Features(read.joints, {}, None, (), (), {}) for _, read in logs]
+    names = tuple(found[0].joint_of)
+    first, read = logs[0]
+    about = {"cameras": [topic for topic in (_topic(read, one.camera) for one in found) if topic], **provenance}
+    model = BodyModel(
+        names, {}, joint_noise(features, names), TouchConstants(1.0, 0.005), about,
+        surface=_surface(first, read, found, settings),
+    )  # fmt: skip
+    scores = tuple(score for one in found for score in _scores(one))
+    findings = tuple(Finding("info", finding.text) for one in found for finding in findings_of(one))
+    return Learned(model, scores, findings)
+
+
+def _surface(log: Path, read: Recording, found: Sequence[SurfaceCalibration], settings: Settings) -> Surface:
+    from math import radians
+
+    from .kinematics.urdf import kinematic_text
+    from .robot_model import named_urdf
+
+    cameras = tuple(_camera(one, _topic(read, one.camera)) for one in found)
+    first = found[0]
+    zero_std = radians(settings.kinematics.offset_prior)
+    return Surface(kinematic_text(named_urdf(log, settings)), first.joint_of, first.still, zero_std, cameras)
+
+
+def _camera(one: SurfaceCalibration, topic: str) -> SurfaceCamera:
+    import numpy as np
+
+    model, phi = one.fit.model, one.fit.phi
+    placed = model.rig.cameras[0]
+    delays = np.arange(model.of_delays.start, model.of_delays.stop)
+    shared = np.setdiff1d(np.arange(len(phi)), delays)
+    std = np.sqrt(np.diag(one.covariance))
+    assert one.picture is not None
+    return SurfaceCamera(
+        one.camera or "camera", topic, placed.link, one.size, placed.anchor, placed.lens, placed.doubt, phi[shared],
+        one.covariance[np.ix_(shared, shared)], phi[delays], std[delays], one.picture.astype(np.float64),
+    )  # fmt: skip
+
+
+def _topic(read: Recording, camera: str) -> str:
+    """The topic of a camera's images, "" the first's."""
+    for role, path in read.roles.items():
+        kind, _, name = role.partition("/")
+        if kind == "camera" and name == camera:
+            return path
+    return ""
+
+
+def _scores(one: SurfaceCalibration) -> Iterator[Score]:
+    """Its scores, with the logs' delays as one each where there are several."""
+    import numpy as np
+
+    yield from scores_of(one)
+    model, std = one.fit.model, np.sqrt(np.diag(one.covariance))
+    name = one.camera or "camera"
+    for number, index in enumerate(range(model.of_delays.start + 1, model.of_delays.stop), 2):
+        yield Score(f"delay/{name}/{number}", float(one.fit.phi[index]), "s", float(std[index]))
