@@ -46,6 +46,8 @@ def compare(
     from .body import storage
 
     learned = storage.load(body)
+    if learned.surface is not None:
+        raise UsageError(f"{body}: a body of the robot's surface has no sense to compare; type: bodylog estimate {log}")
     settings = of_body(learned, settings)
     read, features = observe(log, settings, progress)
     cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)

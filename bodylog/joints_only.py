@@ -13,15 +13,17 @@ from .types import Features, Finding, Recording, Series
 from .wording import listed
 
 
-def joints_alone(log: Path, settings: Settings) -> tuple[Recording, Features]:
-    """Read a log's joints, with remarks on their readings; LogError without joints."""
+def joints_alone(log: Path, settings: Settings, body: BodyModel | None = None) -> tuple[Recording, Features]:
+    """Read a log's joints, with remarks on their readings; LogError without joints. `body`: the one that is used."""
     from .recording import recording
 
     read = recording.read(log, settings, settings.input.strict)
     if read.joints is None or not len(read.joints.t):
-        raise LogError(f"{log}: no joint readings, and no --body to find them by images; type: bodylog info {log}")
+        without = ", and no --body to find them by images" if body is None else ""
+        raise LogError(f"{log}: no joint readings{without}; type: bodylog info {log}")
     odd = () if read.poses else _reading_findings(read.joints)
-    findings = (_no_body(read), *odd, *_outside(log, read.joints, settings))
+    unused = (_no_body(read),) if body is None else ()
+    findings = (*unused, *odd, *_outside(log, read.joints, settings))
     return read, Features(read.joints, {}, None, (), (), {}, findings, poses=read.poses)
 
 

@@ -200,7 +200,7 @@ def estimate(
     if out is None:
         with scratch() as folder:
             return replace(estimate(log, body, folder / "estimate.mcap", settings, progress), output=None)
-    from . import estimation, robot_model
+    from . import estimation, robot_model, surface_estimate
     from .annotating import annotate, estimate_metadata
     from .body import storage
 
@@ -211,12 +211,16 @@ def estimate(
         settings = default_features.of_body(known, settings)
         estimation.check(known, settings.estimate)
     with annotate.annotating(log, out, limits=settings.input) as written:
-        read, features = observe(log, settings, progress) if body else joints_alone(log, settings)
+        by_joints = known is None or known.surface is not None
+        read, features = joints_alone(log, settings, known) if by_joints else observe(log, settings, progress)
         learned = without_body(read, settings) if known is None else known
         written.copy()
         cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
         same_size(log, learned, features, settings)
-        found = estimate_log(log, read, features, learned, settings, typed)
+        if learned.surface is None:
+            found = estimate_log(log, read, features, learned, settings, typed)
+        else:
+            found = surface_estimate.estimate(log, read, features, learned, settings)
         lost = written.add(estimate_messages(read, features, found))
         read = with_true_poses(log, found, read)
         scores = score_estimate(found, read)

@@ -190,24 +190,40 @@ def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointMotion":
 
 def _tracked(logs: Sequence[tuple[Path, Recording]], camera: str) -> Iterator[_Film]:
     """Yield what each log shows through a camera; EvidenceError where too little moves or images differ in size."""
-    from .kinematics.landmark_fit import LEAST_PIECES
-    from .perception.surface.corner_tracks import moving_pieces, track_corners
-
     size: tuple[int, int] | None = None
     for number, (log, read) in enumerate(logs):
         film = _films(read).get(camera)
         if film is None:
             continue
-        where = f"{log}: {camera or 'camera'}"
-        tracks, survey = track_corners(film)
-        moving = moving_pieces(tracks)
-        if len(moving) < LEAST_PIECES:
-            raise EvidenceError(f"{where}: {len(moving)} corners move in its images; the surface needs {LEAST_PIECES}")
+        tracks, picture = _moving_tracks(f"{log}: {camera or 'camera'}", film)
         size = size or tracks.size
         if tracks.size != size:
             found, first = ("x".join(map(str, one)) for one in (tracks.size, size))
+            where = f"{log}: {camera or 'camera'}"
             raise EvidenceError(f"{where}: images of {found} px, of {first} px in the first log; fit them apart")
-        yield _Film(log, number, tracks.take(moving), survey.median)
+        yield _Film(log, number, tracks, picture)
+
+
+def track_camera(log: Path, read: Recording, camera: str) -> "tuple[CornerTracks, Array | None]":
+    """The corners that move before a camera, "camera" the first, and its median picture, grey and shrunken.
+
+    EvidenceError without the camera, or where too little moves.
+    """
+    film = _films(read).get("" if camera == "camera" else camera)
+    if film is None:
+        raise EvidenceError(f"{log}: {camera}: no images of it in this log")
+    return _moving_tracks(f"{log}: {camera}", film)
+
+
+def _moving_tracks(where: str, film: Callable[[], Iterator[Frame]]) -> "tuple[CornerTracks, Array | None]":
+    from .kinematics.landmark_fit import LEAST_PIECES
+    from .perception.surface.corner_tracks import moving_pieces, track_corners
+
+    tracks, survey = track_corners(film)
+    moving = moving_pieces(tracks)
+    if len(moving) < LEAST_PIECES:
+        raise EvidenceError(f"{where}: {len(moving)} corners move in its images; the surface needs {LEAST_PIECES}")
+    return tracks.take(moving), survey.median
 
 
 def _calibrated(
@@ -245,6 +261,11 @@ def _calibrated(
     return best, part.count
 
 
+def explains(fit: "LandmarkFit", part: "Sightings") -> bool:
+    """Whether a fit explains enough of the pieces that it was tried on."""
+    return len(fit.used) >= _LEAST_SHARE * part.count
+
+
 def _most_pieces(logs: int) -> int:
     """Pieces of each log that are used: of many logs fewer each, since together they tell enough."""
     from .kinematics.landmark_fit import MOST_PIECES
@@ -258,7 +279,7 @@ def _require_belonging(name: str, films: Sequence[_Film], best: "LandmarkFit", p
 
     used = np.bincount(part.log[part.begins][best.used], minlength=len(films))
     count = np.bincount(part.log[part.begins], minlength=len(films))
-    control = _control(best, part)
+    control = control_counts(best, part)
     for number, film in enumerate(films):
         where = f"{film.log}: {name or 'camera'}"
         if used[number] < _LEAST_SHARE_OF_ONE * count[number]:
@@ -298,7 +319,7 @@ def _fits(
             yield found
 
 
-def _control(best: "LandmarkFit", part: "Sightings") -> Array:
+def control_counts(best: "LandmarkFit", part: "Sightings") -> Array:
     """Pieces of each log that the joints of another time explain: those of half the log later, in a circle."""
     import numpy as np
 

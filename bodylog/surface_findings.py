@@ -20,6 +20,8 @@ def examine_delays(log: Path, body: BodyModel | None, settings: Settings) -> Exa
     """Examine a log by its surface (a URDF, no body); else by a body, or one learned from it."""
     if body is None and settings.kinematics.urdf is not None:
         return examine(log, settings)
+    if body is not None and body.surface is not None:
+        return examine_by_body(log, body, settings)
     return delay_findings.examine(log, body, settings)
 
 
@@ -42,6 +44,20 @@ def examine(log: Path, settings: Settings) -> Examined:
     except EvidenceError as problem:
         findings.append(Finding("info", str(problem)))
     return Examined(tuple(scores), tuple(findings))
+
+
+def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> Examined:
+    """Judge a log by a body of the robot's surface: delays, and what differs from the logs it was learned from."""
+    from .fault_findings import fault_warnings
+    from .joints_only import joints_alone
+    from .surface_estimate import estimate
+
+    read, features = joints_alone(log, settings, body)
+    found = estimate(log, read, features, body, settings)
+    from .evaluation.figures import delays
+
+    told = (*found.findings, *fault_warnings(found.faults))
+    return Examined(tuple(delays(found)), tuple(Finding(one.severity, f"{log}: {one.text}") for one in told))
 
 
 def scores_of(one: SurfaceCalibration) -> Iterator[Score]:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .evaluation.figures import FIRST, MISFIT, doubtful_delays
+from .evaluation.figures import FIRST, MEASURED_DELAYS, MISFIT, doubtful_delays
 from .fault_findings import span_text
 from .score_names import split
 from .types import EITHER, LASTING_ERROR, Estimate, Fault, Score
@@ -161,7 +161,8 @@ def _agreement(found: Estimate) -> str:
     text = f"no fault found in {listed or 'any sense'}"
     if not found.can.repairs:
         return f"{text}; {found.method} does not look for encoder offsets"
-    return text if tracks else f"{text}; without images, an encoder offset cannot be found"
+    judged = isinstance(found.settings.get(MEASURED_DELAYS), Mapping) and found.settings[MEASURED_DELAYS]
+    return text if tracks or judged else f"{text}; without images, an encoder offset cannot be found"
 
 
 def _error(found: Estimate, scores: Sequence[Score]) -> Iterator[str]:

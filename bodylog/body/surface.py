@@ -78,7 +78,8 @@ def checked(found: Any, joints: tuple[str, ...]) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ValueError(f"surface: found {str(found)[:80]}, possible: a table")
     joint_of = {text(log): text(joint) for log, joint in dict(found["joint_of"]).items()}
-    insist(tuple(joint_of) == joints, "surface.joint_of", list(joint_of)[:4], "a joint of the URDF for each of joints")
+    insist(set(joint_of) == set(joints), "surface.joint_of", list(joint_of)[:4], "the URDF's joint of each joint")
+    joint_of = {name: joint_of[name] for name in joints}
     still = {text(joint): _number(f"surface.still.{joint}", angle) for joint, angle in dict(found["still"]).items()}
     zero_std = _number("surface.zero_std", found["zero_std"])
     insist(zero_std >= 0.0, "surface.zero_std", zero_std, "0 rad and more")

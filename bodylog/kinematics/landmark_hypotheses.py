@@ -1,0 +1,105 @@
+"""Which single change since earlier logs explains a log's landmarks: one joint's zero, a moved camera, or none.
+
+One fit with every joint free gives the log's information on φ, as a Gaussian. Each hypothesis is a prior of φ: the
+belief of earlier logs, widened along what it frees. Evidence and posterior follow in closed form:
+
+    ln Z_h = ½ ln |Λ_h| − ½ ln |Λ_h + D| + ½ (b + Λ_h m)ᵀ (Λ_h + D)⁻¹ (b + Λ_h m) − ½ mᵀ Λ_h m
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..types import Array
+from .landmarks import Belief, LandmarkModel
+
+OFFSET_STD = 0.1
+"""rad (m: a tenth): prior std of an offset that a faulty joint has; 5.7°."""
+MOVED_STD = 0.1
+"""m, rad: prior std of a camera's displacement since earlier logs."""
+CAMERA = "camera"
+"""Name of the hypothesis that the camera moved."""
+SOUND = ""
+"""Name of the hypothesis that nothing changed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What one log tells of φ: precision (P,P), and precision times estimate (P,)."""
+
+    precision: Array
+    pull: Array
+
+
+@dataclass(frozen=True)
+class Change:
+    """A hypothesis: its ln evidence, nats, and of a joint its offset δ ± std, rad or m, with its prior std."""
+
+    name: str
+    nats: float
+    value: float = 0.0
+    std: float = 0.0
+    beforehand: float = 0.0
+
+
+def widened(model: LandmarkModel, belief: Belief) -> LandmarkModel:
+    """The model with a belief in which every joint may be off."""
+    covariance = belief.covariance.copy()
+    for index, std in _offset_stds(model).values():
+        covariance[index, index] += std**2
+    return replace(model, belief=Belief(belief.mean, covariance))
+
+
+def _offset_stds(model: LandmarkModel) -> Mapping[str, tuple[int, float]]:
+    """The index in φ of each joint's zero, and the prior std of an offset."""
+    begin = model.rig.of_joints.start
+    return {
+        joint: (begin + m, OFFSET_STD * (0.1 if model.rig.slides(m) else 1.0))
+        for m, joint in enumerate(model.rig.joints)
+    }
+
+
+def information(model: LandmarkModel, phi: Array, covariance: Array) -> Information:
+    """What the log alone tells, from a posterior φ (P,) ± covariance (P,P) and the model's belief."""
+    assert model.belief is not None
+    std = model.prior[1]
+    posterior = np.linalg.inv(covariance / std / std[:, None])
+    prior = np.linalg.inv(model.belief.covariance / std / std[:, None])
+    values, vectors = np.linalg.eigh(posterior - prior)
+    told = vectors * np.maximum(values, 0.0) @ vectors.T
+    pull = told @ (phi / std) + prior @ ((phi - model.belief.mean) / std)
+    return Information(told / std / std[:, None], pull / std)
+
+
+def weigh(model: LandmarkModel, belief: Belief, told: Information, camera_may_move: bool = True) -> list[Change]:
+    """Every hypothesis with its evidence, the sound one first."""
+    count = len(belief.mean)
+    found = [_weighed(SOUND, belief, told, np.zeros(count), None)]
+    for joint, (index, std) in _offset_stds(model).items():
+        added = std**2 * (np.arange(count) == index)
+        found.append(_weighed(joint, belief, told, added, index))
+    if camera_may_move:
+        found.append(_weighed(CAMERA, belief, told, MOVED_STD**2 * (np.arange(count) < 6), None))
+    return found
+
+
+def _weighed(name: str, belief: Belief, told: Information, added: Array, index: int | None) -> Change:
+    """One hypothesis, whose prior has the variances `added` (P,) more; its offset at `index` of φ."""
+    std = np.sqrt(np.diag(belief.covariance) + added)
+    covariance = (belief.covariance + np.diag(added)) / std / std[:, None]
+    mean = belief.mean / std
+    prior = np.linalg.inv(covariance)
+    precision = prior + told.precision * std * std[:, None]
+    # relative to the prior's mean, so that no large numbers cancel
+    pull = told.pull * std - (told.precision * std * std[:, None]) @ mean
+    beyond = np.linalg.solve(precision, pull)
+    nats = -0.5 * (np.linalg.slogdet(precision)[1] + np.linalg.slogdet(covariance)[1]) + 0.5 * float(pull @ beyond)
+    if index is None:
+        return Change(name, float(nats))
+    variance = float(added[index])
+    share = prior[index] / std[index]
+    value = variance * float(share @ beyond)
+    spread = float(share @ np.linalg.solve(precision, share)) - float(prior[index, index]) / float(std[index]) ** 2
+    left = max(variance + variance**2 * spread, 0.0)
+    return Change(name, float(nats), value, float(np.sqrt(left)), float(np.sqrt(variance)))

@@ -1,0 +1,223 @@
+"""The estimate of a log by a body of the robot's surface: its encoders, less the offsets that the surface shows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .body_model import BodyModel, Surface, SurfaceCamera
+from .delay_findings import middle
+from .errors import EvidenceError, ModelError
+from .log_estimate import infer_from_encoders
+from .settings import Settings
+from .surface_calibration import (
+    LONGEST_S,
+    MOST_IMAGES,
+    ROW_STRIDE,
+    control_counts,
+    explains,
+    smoothed_motion,
+    track_camera,
+)
+from .types import EITHER, Array, Estimate, Fault, Features, Finding, Recording
+
+if TYPE_CHECKING:
+    from .kinematics.joint_motion import JointMotion
+    from .kinematics.landmark_hypotheses import Change
+    from .kinematics.landmarks import Belief, LandmarkModel
+
+NATS = 8.0
+"""Evidence that a fault must win over a sound log."""
+MARGIN_NATS = 4.0
+"""Evidence that a fault must win over each other one; those within are its alternatives."""
+LEAST_SIGMA = 4.0
+"""Standard deviations from zero of an offset that is a fault."""
+LEAST_OFFSET = 0.006
+"""rad (m: a tenth): smaller offsets are within what two logs of a sound robot differ by, 0.3°."""
+_SAME_PICTURE_PX = 1.5
+"""Shift of the still scene, px of the full image, within which a camera did not move."""
+_LEAST_ALIKE = 0.9
+"""Correlation of two pictures of one scene, the arm elsewhere; less is another scene."""
+_BLUR_PX = 1.0
+"""Blur of the shrunken pictures, so that pixels between others can be compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What one camera tells of a log: delay (s) ± std, every hypothesis, and sentences; None without images of an arm.
+
+    identifiable: joints of the body whose offset the log shows · shift: of the still scene, px, None where scenes
+    differ.
+    """
+
+    camera: str
+    delay: tuple[float, float]
+    changes: "Sequence[Change]"
+    identifiable: tuple[str, ...]
+    shift: float | None
+
+
+def estimate(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
+    """Where the body was by its encoders, less an offset that the surface shows, with its doubt in the covariance.
+
+    Where the surface says nothing, the encoders' estimate with a remark why. ModelError where images have another
+    size than those that the body was learned from, or a joint is missing.
+    """
+    assert learned.surface is not None
+    found = infer_from_encoders(features, learned, settings)
+    part = middle(read, LONGEST_S, MOST_IMAGES)
+    joints = part.joints
+    assert joints is not None
+    missing = [name for name in learned.joints if name not in joints.names]
+    if missing:
+        raise ModelError(f"{log}: joint {missing[0]!r} of the body is missing; it has {', '.join(joints.names)}")
+    motion = smoothed_motion(joints, learned.joints)
+    judged, findings = list[Judged](), list[Finding]()
+    for camera in learned.surface.cameras:
+        try:
+            judged.append(judge(log, part, learned.surface, camera, motion))
+        except EvidenceError as problem:
+            findings.append(Finding("warning", f"{problem}; the estimate is by encoders alone"))
+    for one in judged:
+        found = _with_judgement(found, one, learned)
+    return replace(found, findings=(*found.findings, *findings))
+
+
+def judge(
+    log: Path, read: Recording, surface: Surface, camera: SurfaceCamera, motion: "JointMotion"
+) -> Judged:
+    """Judge a log by one camera of a body. EvidenceError where no arm is seen or images show another motion."""
+    import numpy as np
+
+    from .body.surface import landmark_model
+    from .kinematics import landmark_hypotheses as hypotheses
+    from .kinematics.identifiability import LEAST
+    from .kinematics.landmark_errors import unknowns_covariance
+    from .kinematics.landmark_fit import MOST_PIECES, choose_pieces, search_delay, staged_fit
+    from .kinematics.landmarks import sightings
+
+    tracks, picture = track_camera(log, read, camera.name)
+    if tracks.size != camera.size:
+        found, known = ("x".join(map(str, size)) for size in (tracks.size, camera.size))
+        raise ModelError(f"{log}: {camera.name}: images of {found} px, of {known} px where the body was learned")
+    model = landmark_model(surface, camera, [motion])
+    belief = _belief(model, camera)
+    free = hypotheses.widened(model, belief)
+    seen = sightings([(tracks.piece, tracks.t[tracks.frame], tracks.uv)], tracks.size[1])
+    part = seen.take(choose_pieces(seen, MOST_PIECES)).thinned(ROW_STRIDE)
+    start, _ = search_delay(free, belief.mean.copy(), part.thinned(2))
+    fit = staged_fit(free, start, part)
+    if fit is None or not explains(fit, part):
+        count = 0 if fit is None else len(fit.used)
+        why = f"the body explains {count} of {part.count} moving corners"
+        raise EvidenceError(f"{log}: {camera.name}: {why}; the surface says nothing")
+    if (control := int(control_counts(fit, part)[0])) > 0.6 * len(fit.used):
+        why = f"the joints of another time explain the corners as well ({control} against {len(fit.used)})"
+        raise EvidenceError(f"{log}: {camera.name}: {why}; the surface says nothing")
+    covariance = unknowns_covariance(fit)
+    told = hypotheses.information(free, fit.phi, covariance)
+    shift = picture_shift(camera.picture, picture, camera.size[0])
+    may_move = shift is None or shift > _SAME_PICTURE_PX
+    changes = hypotheses.weigh(model, belief, told, may_move)
+    delay = model.of_delays.start
+    late = float(fit.phi[delay]), float(np.sqrt(covariance[delay, delay]))
+    names = {joint: name for name, joint in surface.joint_of.items()}
+    sure = tuple(names[one.name] for one in changes if one.beforehand and one.std <= LEAST * one.beforehand)
+    return Judged(camera.name, late, changes, sure, shift)
+
+
+def _belief(model: "LandmarkModel", camera: SurfaceCamera) -> "Belief":
+    """A body's belief of a log's φ: what it knows, and a delay that may be any."""
+    import numpy as np
+
+    from .kinematics.landmarks import DELAY_STD_S, Belief
+
+    delay = model.of_delays.start
+    rest = np.delete(np.arange(len(camera.unknowns) + 1), delay)
+    mean, covariance = np.zeros(len(rest) + 1), np.zeros((len(rest) + 1, len(rest) + 1))
+    mean[rest], mean[delay] = camera.unknowns, float(camera.delays.mean())
+    covariance[np.ix_(rest, rest)] = camera.covariance
+    covariance[delay, delay] = DELAY_STD_S**2
+    return Belief(mean, covariance)
+
+
+def picture_shift(before: Array, after: Array | None, width: int) -> float | None:
+    """How far (px of images `width` px wide) the still scene moved between two pictures; None for different scenes."""
+    import cv2
+    import numpy as np
+
+    if after is None or before.shape != after.shape:
+        return None
+    first, second = (cv2.GaussianBlur(one.astype(np.float32), (0, 0), _BLUR_PX) for one in (before, after))
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
+    try:
+        alike, warp = cv2.findTransformECC(
+            first, second, np.eye(2, 3, dtype=np.float32), cv2.MOTION_TRANSLATION, criteria
+        )  # fmt: skip
+    except cv2.error:  # it does not converge: no picture of one scene
+        return None
+    return float(np.hypot(*warp[:, 2])) * width / before.shape[1] if alike > _LEAST_ALIKE else None
+
+
+def _with_judgement(found: Estimate, one: Judged, learned: BodyModel) -> Estimate:
+    """An estimate with one camera's delay, faults and remarks, and an offset taken off."""
+    from .evaluation.figures import MEASURED_DELAYS
+
+    assert learned.surface is not None
+    seconds, std = one.delay
+    evident = abs(seconds) > max(3.0 * std, 0.003)
+    measured = {"seconds": seconds, "std_error": std, "doubt": "", "evident": evident}
+    settings: dict[str, Any] = dict(found.settings)
+    settings[MEASURED_DELAYS] = {**settings.get(MEASURED_DELAYS, {}), one.camera: measured}
+    if evident:
+        applied = settings.get("delay", {})
+        settings["delay"] = {**(applied if isinstance(applied, Mapping) else {}), one.camera: seconds}
+    blind = [name for name in learned.joints if name not in one.identifiable]
+    findings = list(found.findings)
+    if blind:
+        findings.append(Finding("info", f"{one.camera}: offsets not identifiable: {', '.join(blind)}"))
+    if one.shift is not None and one.shift > _SAME_PICTURE_PX:
+        text = f"its still scene lies {one.shift:.1f} px beside that of the body: scene or camera moved"
+        findings.append(Finding("info", f"{one.camera}: {text}"))
+    fault, change = _fault(one, found, learned)
+    result = replace(found, settings=settings, findings=tuple(findings))
+    if fault is None:
+        return result
+    result = replace(result, faults=(*found.faults, fault))
+    return result if change is None else _without_offset(result, fault)
+
+
+def _fault(one: Judged, found: Estimate, learned: BodyModel) -> "tuple[Fault | None, Change | None]":
+    """The fault that wins, if one does, and the change where its size is known."""
+    from .kinematics.landmark_hypotheses import CAMERA, SOUND
+
+    assert learned.surface is not None
+    sound = next(change for change in one.changes if change.name == SOUND)
+    best = max(one.changes, key=lambda change: change.nats)
+    if best.nats - sound.nats < NATS or best.name == SOUND:
+        return None, None
+    names = {joint: name for name, joint in learned.surface.joint_of.items()}
+    since = float(found.joints.t[0])
+    rivals = [change for change in one.changes if change.name != SOUND and best.nats - change.nats < MARGIN_NATS]
+    if len(rivals) > 1:
+        alike = [names.get(change.name, one.camera) for change in rivals]
+        return Fault("encoders", EITHER.join(alike), "offset", since, float("nan"), "rad"), None
+    if best.name == CAMERA:
+        return Fault("vision", one.camera, "moved", since, float("nan"), "m"), None
+    slides = best.beforehand < 0.05
+    least = max(LEAST_SIGMA * best.std, LEAST_OFFSET * (0.1 if slides else 1.0))
+    if abs(best.value) < least or names[best.name] not in one.identifiable:
+        return None, None
+    # a reading that is too large by x needs a zero that is smaller by x
+    unit = "m" if slides else "rad"
+    return Fault("encoders", names[best.name], "offset", since, -best.value, unit, best.std), best
+
+
+def _without_offset(found: Estimate, fault: Fault) -> Estimate:
+    """The estimate with a joint's offset taken off, and its variance added."""
+    assert fault.std is not None
+    joint = found.joints.names.index(fault.name)
+    values, cov = found.joints.values.copy(), found.cov.copy()
+    values[:, joint] -= fault.size
+    cov[:, joint, joint] += fault.std**2
+    return replace(found, joints=replace(found.joints, values=values), cov=cov)

@@ -1,0 +1,84 @@
+"""What changed since earlier logs: one joint's offset, a moved camera, or nothing."""
+
+import numpy as np
+import pytest
+
+from bodylog.kinematics.landmark_errors import unknowns_covariance
+from bodylog.kinematics.landmark_fit import search_delay, staged_fit
+from bodylog.kinematics.landmark_hypotheses import CAMERA, SOUND, Change, information, weigh, widened
+from bodylog.kinematics.landmarks import Belief
+from bodylog.types import Array
+
+from .test_landmarks import JOINTS, model, motion, seen, truth
+
+NATS = 8.0
+
+
+def changes(offset: Array, moved: Array, seed: int) -> dict[str, Change]:
+    """The hypotheses of a log whose readings are off by `offset` (4,) rad, for a belief of 0.3° and 5 mm."""
+    built = model([motion(seed)])
+    phi = truth(built, delay=0.03)
+    std = built.prior[1].copy()
+    std[:6], std[6], std[built.rig.of_joints] = 0.005, 0.003, 0.005
+    std[7:12] *= 0.2
+    belief = Belief(phi.copy(), np.diag(std**2))
+    there = phi.copy()
+    there[built.rig.of_joints] -= offset
+    there[:6] += moved
+    part, _ = seen(built, there, seed + 1)
+    free = widened(built, belief)
+    start, _ = search_delay(free, belief.mean.copy(), part.thinned(4))
+    found = staged_fit(free, start, part.thinned(2))
+    assert found is not None
+    told = information(free, found.phi, unknowns_covariance(found))
+    return {one.name: one for one in weigh(built, belief, told)}
+
+
+@pytest.mark.parametrize("joint", [0, 1, 2])
+def test_offset_of_one_joint_is_found_and_alone(joint):
+    off = np.radians(5.0) * (np.arange(4) == joint)
+    found = changes(off, np.zeros(6), 200 + 7 * joint)
+    best = max(found.values(), key=lambda one: one.nats)
+    assert best.name == JOINTS[joint]
+    assert best.nats - found[SOUND].nats > NATS
+    assert abs(-best.value - np.radians(5.0)) < 2.5 * best.std
+    assert best.std < np.radians(1.0)
+
+
+def test_sound_log_is_accused_of_nothing():
+    found = changes(np.zeros(4), np.zeros(6), 300)
+    assert max(one.nats for one in found.values()) - found[SOUND].nats < NATS / 2
+
+
+def test_moved_camera_is_no_joint():
+    found = changes(np.zeros(4), np.array([0.08, 0.0, 0.0, 0.0, 0.05, 0.03]), 310)
+    assert max(found.values(), key=lambda one: one.nats).name == CAMERA
+
+
+def test_evidence_is_that_of_the_gaussian():
+    built = model([motion(400)])
+    count = len(built.prior[0])
+    rng = np.random.default_rng(1)
+    belief = Belief(np.zeros(count), np.diag(rng.uniform(0.01, 0.02, count) ** 2))
+    design = rng.standard_normal((40, count)) * 50.0
+    phi = belief.mean.copy()
+    index = built.rig.of_joints.start + 2
+    phi[index] = 0.08
+    z = design @ phi + rng.standard_normal(40)
+    free = widened(built, belief)
+    precision = design.T @ design + free.prior_precision
+    mean = np.linalg.solve(precision, design.T @ z)
+    told = information(free, mean, np.linalg.inv(precision))
+    found = {one.name: one for one in weigh(built, belief, told)}
+
+    def ln_evidence(covariance: Array) -> float:
+        spread = design @ covariance @ design.T + np.eye(40)
+        return float(-0.5 * np.linalg.slogdet(spread)[1] - 0.5 * z @ np.linalg.solve(spread, z))
+
+    plain = ln_evidence(belief.covariance)
+    wide = belief.covariance.copy()
+    wide[index, index] += 0.1**2
+    assert found[JOINTS[2]].nats - found[SOUND].nats == pytest.approx(ln_evidence(wide) - plain, abs=1e-3)
+    gain = wide @ design.T @ np.linalg.inv(design @ wide @ design.T + np.eye(40))
+    expected = 0.1**2 / wide[index, index] * (gain @ z)[index]
+    assert found[JOINTS[2]].value == pytest.approx(expected, rel=1e-4)

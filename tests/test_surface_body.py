@@ -1,0 +1,169 @@
+"""A body of the robot's own surface: its file, its calibration, and what every command does with it."""
+
+import json
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bodylog import calibration
+from bodylog.body import storage
+from bodylog.body.surface import landmark_model
+from bodylog.body_model import BodyModel, Noise, Surface, SurfaceCamera, TouchConstants
+from bodylog.errors import ModelError
+from bodylog.surface_estimate import picture_shift
+
+REACH = Path(__file__).parents[1] / "fixtures" / "arm" / "reach.mcap"
+JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+PAN_ONLY = """<robot name="arm"><link name="base"/><link name="a"/><link name="b"/><link name="c"/>
+<joint name="shoulder_pan_joint" type="revolute"><origin xyz="0 0 0.2"/><parent link="base"/><child link="a"/>
+<axis xyz="0 0 1"/></joint>
+<joint name="shoulder_lift_joint" type="revolute"><origin xyz="0 0.1 0.1"/><parent link="a"/><child link="b"/>
+<axis xyz="0 1 0"/></joint>
+<joint name="elbow_joint" type="revolute"><origin xyz="0 0 0.4"/><parent link="b"/><child link="c"/>
+<axis xyz="0 1 0"/></joint></robot>"""
+SURFACE_TOML = "[features]\narm = { surface = true }\n"
+
+
+def surface_body() -> BodyModel:
+    lens = np.array([np.log(300.0), 0.0, 160.0, 120.0, 0.0, 0.0])
+    anchor = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.4], [-1.0, 0.0, 0.0, 1.6], [0.0, 0.0, 0.0, 1.0]])
+    unknowns = np.concatenate([np.zeros(6), lens, [0.01, 0.02, -0.03], [0.03]])
+    std = np.concatenate([np.full(6, 0.01), [0.01, 0.002, 5.0, 5.0, 0.02, 0.02], [0.008, 0.01, 0.2], [0.02]])
+    camera = SurfaceCamera(
+        "camera", "/camera/color/image_raw/compressed", "base", (320, 240), anchor, lens, np.full(12, 0.1), unknowns,
+        np.diag(std**2), np.array([0.02]), np.array([0.002]), np.full((60, 80), 90.0),
+    )  # fmt: skip
+    surface = Surface(PAN_ONLY, {name: name for name in JOINTS}, {}, np.radians(5.0), (camera,))
+    noise = Noise((1e-6,) * 3, {}, (1.0,) * 3)
+    return BodyModel(JOINTS, {}, noise, TouchConstants(1.0, 0.005), {}, surface=surface)
+
+
+@pytest.fixture
+def body(tmp_path):
+    path = tmp_path / "body.npz"
+    storage.save(surface_body(), path)
+    return path
+
+
+def spoilt(body: Path, member: str, change) -> Path:
+    """A copy of a body's file with one array changed."""
+    out = body.with_name("spoilt.npz")
+    with zipfile.ZipFile(body) as archive, zipfile.ZipFile(out, "w") as beside:
+        for name in archive.namelist():
+            with archive.open(name) as stream:
+                value = np.lib.format.read_array(stream)
+            with beside.open(name, "w") as stream:
+                np.lib.format.write_array(stream, change(value) if name == member else value, version=(1, 0))
+    return out
+
+
+def test_file_holds_the_body_and_is_the_same_each_time(body):
+    again = storage.load(body)
+    assert again.surface is not None
+    known = surface_body().surface
+    assert again.surface.joint_of == known.joint_of
+    np.testing.assert_array_equal(again.surface.cameras[0].covariance, known.cameras[0].covariance)
+    assert landmark_model(again.surface, again.surface.cameras[0]).rig.joints == JOINTS
+    twice = body.with_name("twice.npz")
+    storage.save(again, twice)
+    assert twice.read_bytes() == body.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("member", "change", "field"),
+    [
+        ("surface.0/covariance.npy", lambda m: -m, "surface.0/covariance"),
+        ("surface.0/anchor.npy", lambda m: 2.0 * m, "surface.0/anchor"),
+        ("surface.0/unknowns.npy", lambda m: m[:-1], "surface.0/"),
+        ("surface.0/lens.npy", lambda m: np.full(6, np.nan), "surface.0/lens"),
+        ("surface.0/delay_std.npy", lambda m: 0.0 * m, "surface.0/delay_std"),
+        ("header.npy", lambda m: np.array(str(m).replace('"link": "base"', '"link": "moon"')), "moon"),
+        ("header.npy", lambda m: np.array(str(m).replace("revolute", "round")), "surface.urdf"),
+        ("header.npy", lambda m: np.array(str(m).replace('"size": [320, 240]', '"size": [640]')), "surface.cameras"),
+    ],
+)
+def test_hostile_file_is_refused_in_one_line(body, member, change, field):
+    with pytest.raises(ModelError, match=field) as problem:
+        storage.load(spoilt(body, member, change))
+    assert "\n" not in str(problem.value)
+
+
+def test_calibration_has_pose_lens_rows_and_zeros(body):
+    values = calibration.table(calibration.load(body))
+    (camera,) = values["cameras"].values()
+    np.testing.assert_allclose(camera["xyz_m"], [1.6, 0.0, 0.4], atol=1e-9)
+    assert camera["row_time_s"] == pytest.approx(0.03)
+    assert camera["row_time_std_s"] == pytest.approx(0.02)
+    assert camera["focal_px"] == pytest.approx([300.0, 300.0])
+    assert values["zeros"]["shoulder_lift_joint"]["value"] == pytest.approx(0.02)
+    assert values["zeros"]["elbow_joint"]["value"] is None
+
+
+def test_log_of_another_arm_is_estimated_by_its_encoders_alone(body, run_cli, tmp_path, capsys):
+    out = tmp_path / "out.mcap"
+    assert run_cli("estimate", REACH, "--body", body, "-o", out, "--json") == 0
+    (entry,) = json.loads(capsys.readouterr().out)["results"]
+    assert not [fault for fault in entry["faults"] if fault["kind"] in ("offset", "moved")]
+    assert any("estimate is by encoders alone" in one["text"] for one in entry["findings"])
+    assert run_cli("report", out, "-o", tmp_path / "report.html") == 0
+
+
+def test_images_of_another_size_are_refused(body, run_cli, tmp_path, capsys):
+    known = surface_body()
+    (camera,) = known.surface.cameras
+    storage.save(replace(known, surface=replace(known.surface, cameras=(replace(camera, size=(640, 480)),))), body)
+    assert run_cli("estimate", REACH, "--body", body, "-o", tmp_path / "out.mcap") == 65
+    assert "images of 320x240 px, of 640x480 px" in capsys.readouterr().err
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_commands_take_it_or_refuse_in_one_line(body, run_cli, tmp_path, capsys):
+    assert run_cli("doctor", REACH, "--body", body) == 0
+    assert run_cli("batch", REACH, "--body", body, "-o", tmp_path / "batch") == 0
+    capsys.readouterr()
+    assert run_cli("compare", REACH, "--body", body) == 2
+    assert "no sense to compare" in capsys.readouterr().err
+    assert run_cli("fit", REACH, "--update", body, "-o", tmp_path / "more.npz") == 2
+    assert "fit all logs together" in capsys.readouterr().err
+    assert not (tmp_path / "more.npz").exists()
+
+
+@pytest.mark.soak
+def test_images_that_show_no_such_arm_teach_nothing(run_cli, tmp_path, capsys):
+    config, urdf, out = tmp_path / "robot.toml", tmp_path / "arm.urdf", tmp_path / "body.npz"
+    config.write_text(SURFACE_TOML)
+    urdf.write_text(PAN_ONLY)
+    assert run_cli("fit", REACH, "--urdf", urdf, "--config", config, "-o", out) == 65
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "reach.mcap" in line
+    assert not out.exists()
+
+
+def test_shift_of_a_still_scene_is_measured():
+    rng = np.random.default_rng(3)
+    import cv2
+
+    scene = cv2.GaussianBlur(rng.uniform(0, 255, (200, 260)), (0, 0), 3.0)
+    scene = 128.0 + 8.0 * (scene - scene.mean())
+    before, after = scene[20:140, 20:180], scene[20:140, 22:182]
+    assert picture_shift(before, after, 640) == pytest.approx(8.0, abs=0.5)
+    assert picture_shift(before, before, 640) == pytest.approx(0.0, abs=0.2)
+    other = cv2.GaussianBlur(rng.uniform(0, 255, (120, 160)), (0, 0), 3.0)
+    assert picture_shift(before, other, 640) is None
+
+
+@pytest.mark.soak
+def test_rendered_arm_teaches_a_body_that_judges_another_log(worlds, run_cli, tmp_path, capsys):
+    config, body, out = tmp_path / "robot.toml", tmp_path / "body.npz", tmp_path / "out.mcap"
+    config.write_text(SURFACE_TOML)
+    assert run_cli("fit", worlds / "bare_explore", "--urdf", "log", "--config", config, "-o", body) == 0
+    assert body.stat().st_size < 1_000_000
+    capsys.readouterr()
+    assert run_cli("estimate", worlds / "bare_pick", "--body", body, "-o", out, "--json") == 0
+    (entry,) = json.loads(capsys.readouterr().out)["results"]
+    delay = entry["scores"]["delay/camera"]
+    assert abs(delay["value"]) < max(0.003, 2.0 * delay["std"])
+    assert not entry["faults"]
