@@ -197,6 +197,8 @@ def described(source: Source) -> str:
             return "its colour"
         case PointSource():
             return f"the patch around ({source.point[0]:g}, {source.point[1]:g}) px"
+        case SurfaceSource():
+            return "the robot's own surface"
         case TopicSource():
             return f"points on {source.topic}"
         case TableSource():
