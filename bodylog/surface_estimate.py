@@ -172,10 +172,16 @@ def _with_judgement(found: Estimate, one: Judged, learned: BodyModel) -> Estimat
     if evident:
         applied = settings.get("delay", {})
         settings["delay"] = {**(applied if isinstance(applied, Mapping) else {}), one.camera: seconds}
+    names = {joint: name for name, joint in learned.surface.joint_of.items()}
     blind = [name for name in learned.joints if name not in one.identifiable]
     findings = list(found.findings)
     if blind:
         findings.append(Finding("info", f"{one.camera}: offsets not identifiable: {', '.join(blind)}"))
+    sure = [change for change in one.changes if change.beforehand and names[change.name] in one.identifiable]
+    if sure:
+        least = [f"{names[change.name]} {LEAST_SIGMA * change.std:.3g}" for change in sure]
+        text = "smaller offsets than these, rad or m, would not be found, and no error bar holds them"
+        findings.append(Finding("info", f"{one.camera}: {text}: {', '.join(least)}"))
     if one.shift is not None and one.shift > _SAME_PICTURE_PX:
         text = f"its still scene lies {one.shift:.1f} px beside that of the body: scene or camera moved"
         findings.append(Finding("info", f"{one.camera}: {text}"))
