@@ -32,22 +32,36 @@ class CameraFlow:
 
 def measure_flow_delays(read: Recording) -> Iterator[CameraFlow]:
     """Yield the delay of each camera of a recording by flow; nothing without joints."""
-    from .estimation.timing.flow_delay import estimate_flow_delay
+    if not has_motion(read):
+        return
+    for name, seen in see_cameras(read):
+        yield CameraFlow(name, delay_by_flow(read, seen))
+
+
+def has_motion(read: Recording) -> bool:
+    """Whether a recording has joints that a delay can be measured against."""
+    return read.joints is not None and not read.poses and len(read.joints.t) >= LEAST_READINGS
+
+
+def see_cameras(read: Recording) -> "Iterator[tuple[str, GridFlow | None]]":
+    """Yield each camera's name and the motion of its picture, None without two images; each image is decoded once."""
     from .perception.surface.flow import measure_grid_flow
 
-    if read.joints is None or read.poses or len(read.joints.t) < LEAST_READINGS:
-        return
     for name, film in {"": read.frames, **read.views}.items():
-        if film is None:
-            continue
-        seen = measure_grid_flow(film())
-        found = None
-        if seen is not None and len(seen.times) > 1:
-            interval_s = float(np.median(np.diff(seen.times, axis=1)))
-            joints = smooth_joints(read.joints, min(interval_s / KNOTS_PER_INTERVAL, LONGEST_KNOT_S))
-            groups = group_joints(joints.names)
-            found = estimate_flow_delay(joints, seen.times, seen.flow, groups, _longest_row_time(seen))
-        yield CameraFlow(name or "camera", found)
+        if film is not None:
+            yield name or "camera", measure_grid_flow(film())
+
+
+def delay_by_flow(read: Recording, seen: "GridFlow | None") -> "FlowDelay | None":
+    """The delay of a camera whose picture moves as `seen`; None where images or joints do not suffice."""
+    from .estimation.timing.flow_delay import estimate_flow_delay
+
+    if read.joints is None or seen is None or len(seen.times) < 2:
+        return None
+    interval_s = float(np.median(np.diff(seen.times, axis=1)))
+    joints = smooth_joints(read.joints, min(interval_s / KNOTS_PER_INTERVAL, LONGEST_KNOT_S))
+    groups = group_joints(joints.names)
+    return estimate_flow_delay(joints, seen.times, seen.flow, groups, _longest_row_time(seen))
 
 
 def _longest_row_time(seen: "GridFlow") -> float:

@@ -49,8 +49,8 @@ def batch(
     what = {key: typed.pop(key) for key in ("body", "train", "bounds")}
     groups = _groups(logs, common.settings(estimate=estimation(typed)), what)
     read = tuple(path for path in (*map(Path, logs), common.config_file) if path is not None and path.is_file())
-    plan = Plan(groups=groups, shard=_shard(shard), memory=_bytes(memory), inputs=read, **how)
-    rows = run(plan, _print_row)
+    plan = Plan(groups=groups, shard=shard_of(shard), memory=_bytes(memory), inputs=read, **how)
+    rows = run(plan, print_row)
     if as_json:
         print_json([_entry(row, plan.out) for row in rows])
     elif verbosity() >= 0:
@@ -68,7 +68,7 @@ def _groups(logs: tuple[str, ...], settings: "Settings", what: dict[str, Any]) -
     return manifest.load(Path(logs[0]), settings)
 
 
-def _print_row(row: dict[str, Any], done: int, total: int) -> None:
+def print_row(row: dict[str, Any], done: int, total: int) -> None:
     from .output import line, verbosity
 
     if verbosity() >= 0:
@@ -112,7 +112,7 @@ def _entry(row: dict[str, Any], out: Path) -> dict[str, Any]:
     }
 
 
-def _shard(text: str) -> tuple[int, int]:
+def shard_of(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"(\d+)/(\d+)", text)
     if not found:
         raise click.BadParameter(f"{text!r}; it must be I/N, e.g. 2/4", param_hint="--shard")

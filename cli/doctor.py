@@ -1,36 +1,88 @@
 """bodylog doctor."""
 
+import re
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from . import options
 from .options import OUT, PATH, Common, common_options, logs_argument
 from .setting_options import delay_option, setting
 
+if TYPE_CHECKING:
+    from bodylog.batch.dataset import Examined
+    from bodylog.batch.jobs import Row
+
 _URDF = "Calibrate cameras, delays and joint zeros by the robot's own surface, without a marker."
+_OUT = "Of a dataset: a page (.html), or a folder for the page, rows and junit.xml."
 
 
-@click.command(epilog="Example: bodylog doctor crashed.mcap --repair sound.mcap")
+def _episode_range(
+    _context: click.Context, _option: click.Parameter, text: str | None
+) -> tuple[int | None, int | None] | None:
+    """First and the one after the last, as in Python's slices."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d{0,9}):(\d{0,9})", text)
+    if not found:
+        raise click.BadParameter(f"{text!r}; it must be FIRST:END, without END, e.g. 0:50")
+    return (int(found[1]) if found[1] else None, int(found[2]) if found[2] else None)
+
+
+@click.command(epilog="Example: bodylog doctor DATASET --jobs 2 -o report.html")
 @logs_argument
 @click.option("--repair", type=OUT, metavar="OUT.mcap", help="Write what is sound of one log there.")
 @click.option("--body", type=PATH, help="Measure camera delays by this body; default: by one learned from the log.")
 @setting("kinematics", "urdf", metavar="ROBOT.urdf|log", help=_URDF)
+@click.option("-o", "--output", "out", type=OUT, metavar="OUT", help=_OUT)
+@click.option("--csv", "table", type=OUT, metavar="FILE", help="Of a dataset: a row per episode, .csv or .parquet.")
+@click.option("--episodes", callback=_episode_range, metavar="A:B", help="Of a dataset: from A to before B.")
+@click.option("--jobs", "workers", type=click.IntRange(min=1), default=1, show_default=True, help="Episodes at a time.")
+@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, tcp://HOST:PORT, or local.")
+@click.option("--shard", metavar="I/N", default="1/1", show_default=True, help="Every N-th episode, from the I-th.")
+@click.option("--resume", is_flag=True, help="Skip what an earlier run did with the same input, settings and version.")
+@options.fail_option
 @delay_option
 @common_options
 def doctor(
-    logs: tuple[Path, ...], repair: Path | None, body: Path | None, urdf: str | None, common: Common, as_json: bool
-) -> int:
-    """Find what is wrong with a log, and repair it.
+    logs: tuple[Path, ...], repair: Path | None, body: Path | None, urdf: str | None, common: Common, as_json: bool,
+    **typed: Any,
+) -> int:  # fmt: skip
+    """Find what is wrong with a log, and repair it; or whether a dataset is fit to learn from.
 
     It measures the delay of images relative to the joints in the middle minute of the log; --delay off skips this.
+
+    LOG may be a dataset, or a folder of logs: then each episode is examined and compared with the others.
     """
+    from bodylog.batch.dataset import is_dataset
+
+    settings = common.settings(kinematics={"urdf": urdf})
+    if repair is None and body is None and any(map(is_dataset, logs)):
+        return _examine_dataset(logs, settings, common, as_json, typed)
+    _refuse_of_one_log(typed)
+    return _examine_logs(logs, repair, body, settings, as_json)
+
+
+def _refuse_of_one_log(typed: dict[str, Any]) -> None:
+    """UsageError for an option that a single log does not have."""
+    given = {
+        "-o": typed["out"], "--csv": typed["table"], "--episodes": typed["episodes"], "--resume": typed["resume"],
+        "--scheduler": typed["scheduler"], "--fail-if": typed["bounds"], "--shard": typed["shard"] != "1/1",
+        "--jobs": typed["workers"] > 1,
+    }  # fmt: skip
+    for option, value in given.items():
+        if value:
+            raise click.UsageError(f"{option} is for a dataset or a folder of logs, without --repair and --body")
+
+
+def _examine_logs(logs: tuple[Path, ...], repair: Path | None, body: Path | None, settings: Any, as_json: bool) -> int:
     from bodylog import pipeline
 
     from .output import each, entry, line, lost, print_json, progress
 
     if repair is not None and len(logs) != 1:
         raise click.UsageError("--repair takes exactly one LOG")
-    settings = common.settings(kinematics={"urdf": urdf})
     with progress("doctor", logs, settings, "messages") as tick:
         results, code = each(logs, lambda log: pipeline.doctor(log, repair, settings, tick, body))
     if as_json:
@@ -42,3 +94,75 @@ def doctor(
             for finding in result.findings:
                 line(f"  {finding.severity}: {finding.text}")
     return code or max(lost(result.findings) for result in results.values())
+
+
+def _examine_dataset(
+    logs: tuple[Path, ...], settings: Any, common: Common, as_json: bool, typed: dict[str, Any]
+) -> int:
+    from bodylog.batch import Group, Plan, dataset
+    from bodylog.batch.jobs import EXAMINE
+
+    from .batch import print_row, shard_of
+    from .output import print_json, verbosity
+
+    out: Path | None = typed["out"]
+    folder = out is not None and out.suffix.lower() not in (".html", ".htm")
+    if not folder and (typed["resume"] or typed["scheduler"] or typed["shard"] != "1/1"):
+        raise click.UsageError("--resume, --shard and --scheduler need a folder for the rows; type: -o DIR")
+    begin, end = typed["episodes"] or (None, None)
+    chosen = dataset.chosen_episodes(logs, begin, end)
+    group = Group("", chosen, settings, bounds=typed["bounds"], task=EXAMINE)
+    read = () if common.config_file is None else (common.config_file,)
+    plan = Plan(
+        (group,), out if folder and out is not None else Path(), typed["workers"], shard_of(typed["shard"]),
+        typed["resume"], True, None, typed["scheduler"], read,
+    )  # fmt: skip
+    run = dataset.examine if folder else dataset.examine_without_folder
+    found = run(plan, print_row, None if folder else out, typed["table"])
+    if as_json:
+        print_json([*map(_entry, found.rows), _entry(found.whole, " ".join(map(str, logs)))])
+    elif verbosity() >= 0:
+        _print_verdict(found)
+    return found.code
+
+
+def _print_verdict(found: "Examined") -> None:
+    """The verdict, the episodes that stand out, then what each episode says of itself."""
+    from .output import line, verbosity
+
+    for text in found.whole["verdict"]:
+        line(text)
+    for one in found.whole["outliers"]:
+        line(f"  {one['episode']}: {one['text']}")
+    if found.whole["error"]:
+        line(f"bodylog: {found.whole['error']}", err=True)
+    odd = {one["text"] for one in found.whole["outliers"]}
+    for row in found.rows:
+        texts = [text for severity, text in row["findings"] if severity != "info" and text not in odd]
+        why = f": {row['error'].strip().splitlines()[-1]}" if row["error"] else ""
+        line(f"{row['exit_code']:>3}  {row['name']}  {row['status']}{why}")
+        for text in texts if verbosity() > 0 else ():
+            line(f"       {text}")
+
+
+def _entry(row: "Row", source: str | None = None) -> dict[str, Any]:
+    """A row as one of the envelope's results; its name, status, exit code and error stand beside."""
+    from bodylog.score_names import unit
+
+    scores = {
+        name: {"value": value, "unit": unit(name)}
+        | ({"std": row["scores"][f"std/{name}"]} if f"std/{name}" in row["scores"] else {})
+        for name, value in row["scores"].items()
+    }
+    return {
+        "input": row["log"] if source is None else source,
+        "output": None,
+        "verdict": row["verdict"],
+        "scores": scores,
+        "health": row.get("health", {}),
+        "findings": [{"severity": severity, "text": text} for severity, text in row["findings"]],
+        "faults": row.get("faults", []),
+        "settings": {},
+        **{key: row[key] for key in ("name", "status", "exit_code", "error")},
+        **({"outliers": row["outliers"]} if "outliers" in row else {}),
+    }

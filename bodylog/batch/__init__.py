@@ -10,7 +10,7 @@ from ..io.atomic_files import writable
 from ..io.outputs import Output, guard
 from ..settings import Settings
 from . import folders, jobs, local, results, resume, work
-from .jobs import Job, Row
+from .jobs import ESTIMATE, Job, Row
 
 Report = Callable[[Row, int, int], None]
 """Called with each finished row, the number of finished rows and the number of all rows."""
@@ -26,6 +26,7 @@ class Group:
     body: Path | None = None
     train: tuple[Path, ...] = ()
     bounds: tuple[str, ...] = ()
+    task: str = ESTIMATE
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Plan:
 
 
 def batch(plan: Plan, report: Report | None = None) -> list[Row]:
-    """One row per log of this shard, in name order; plan.out gets results.jsonl, junit.xml and summary.html.
+    """One row per log of this shard, in name order; plan.out gets results.jsonl, junit.xml and a page.
 
     Shards that share plan.out together leave the same files as one run over all logs.
     """
@@ -63,8 +64,8 @@ def batch(plan: Plan, report: Report | None = None) -> list[Row]:
     for job in mine:
         if job.name not in done:
             done[job.name] = work.not_run(job)
-    journal.finish()
-    return [done[job.name] for job in mine]
+    final = {row["name"]: row for row in journal.finish()}
+    return [final.get(job.name, done[job.name]) for job in mine]
 
 
 def exit_code(rows: Sequence[Row]) -> int:
@@ -81,7 +82,7 @@ def _planned(plan: Plan) -> tuple[list[Job], set[str]]:
 
     logs = []
     for group in plan.groups:
-        if (group.body is None) == (not group.train):
+        if group.task == ESTIMATE and (group.body is None) == (not group.train):
             raise UsageError("batch needs either --body body.npz or --train LOG, and not both")
         for text in group.bounds:
             bounds.parse(text)
@@ -135,9 +136,9 @@ def _check(body: Path, settings: Settings, checked: set[object]) -> None:
 def _jobs(plan: Plan, group: Group, found: Mapping[str, str], before: str) -> list[Job]:
     folder = folders.mark(plan.out / group.name, folders.BATCH)
     body = _body(group, folder)
-    how = resume.how(body, group.settings, group.bounds)
+    how = resume.how(body, group.settings, group.bounds, group.task)
     return [
-        Job(before + name, log, folder / name, body, group.settings, group.bounds, plan.resume, how)
+        Job(before + name, log, folder / name, body, group.settings, group.bounds, plan.resume, how, group.task)
         for name, log in found.items()
     ]
 
@@ -151,9 +152,9 @@ def _run(plan: Plan, open_jobs: Sequence[Job]) -> Iterator[Row]:
     yield from local.run(open_jobs, min(plan.workers, max(1, len(open_jobs))), plan.memory, plan.keep_going)
 
 
-def _body(group: Group, folder: Path) -> Path:
+def _body(group: Group, folder: Path) -> Path | None:
     """The given body model, or one learned from the training logs unless an earlier run left the same."""
-    if group.body is not None:
+    if group.body is not None or not group.train:
         return group.body
     with folders.alone(folder, folders.BATCH):  # shards that share a folder learn the body once
         body = resume.learned(group.train, folder / "body.npz", group.settings)

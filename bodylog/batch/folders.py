@@ -21,8 +21,13 @@ BATCH = ".bodylog-batch"
 RESULT = ".bodylog-result"
 """Marks a folder that holds the results of one log; its files are never taken as input logs."""
 SUMMARIES = ("results.jsonl", "junit.xml", "summary.html")
+DATASET = "dataset.json"
+"""The row of a dataset as a whole."""
+PAGE = "report.html"
+"""The page about a dataset: of its episodes, and in a batch of estimates of each log."""
 BODY = ("body.npz", "body.json")
-OUTPUTS = ("annotated.mcap", "report.html", "robot.toml")
+OUTPUTS = ("annotated.mcap", PAGE, "robot.toml")
+EVIDENCE = ("evidence.json",)
 ROW = "row.json"
 
 _OLD_LOCK = ".lock"
@@ -34,7 +39,7 @@ _BEGIN = {
 }
 """First bytes of the files that earlier versions left in unmarked folders."""
 _LONGEST = 200
-TAKEN = frozenset((*SUMMARIES, *BODY))
+TAKEN = frozenset((*SUMMARIES, *BODY, PAGE, DATASET))
 """Names in a batch's folder that no log's folder may have."""
 
 

@@ -22,6 +22,8 @@ KEYS = frozenset((
 ))  # fmt: skip
 """The keys of a row."""
 
+ESTIMATE, EXAMINE = "estimate", "examine"
+"""The tasks of a batch: estimate and score each log, or examine it beside its siblings."""
 MOST = 100_000
 """Most names that a pattern may match, and most folders that are searched."""
 SUFFIXES = (
@@ -32,19 +34,21 @@ SUFFIXES = (
 
 @dataclass(frozen=True)
 class Job:
-    """One log to estimate, score and report on, its results' folder, and whether to keep an earlier run's results.
+    """One log, its results' folder, and whether to keep an earlier run's results.
 
-    `how` is a digest of everything but the log that the results depend on.
+    `task` is what is done with the log, a name of work.TASKS. `how` is a digest of everything but the log that the
+    results depend on.
     """
 
     name: str
     log: str
     folder: Path
-    body: Path
+    body: Path | None
     settings: Settings
     bounds: tuple[str, ...]
     resume: bool
     how: str = ""
+    task: str = ESTIMATE
 
 
 def named(logs: Sequence[str], wait_s: float = remote.WAIT_S) -> dict[str, str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from .. import headline, verdict
 from ..io.atomic_files import replacing
 from . import folders, resume
-from .jobs import Job, Row
+from .jobs import EXAMINE, Job, Row
 from .resume import ODD
 
 
@@ -38,15 +38,28 @@ class Journal:
                 stream.write(line(row))
             self._seen = self._state()
 
-    def finish(self) -> None:
-        """All three files, whole, in name order; again where another shard ended meanwhile, as without locks it can."""
+    def finish(self) -> list[Row]:
+        """All three files, whole, in name order; again where another shard ended meanwhile, as without locks it can.
+
+        Returns the rows as written.
+        """
         rows: list[Row] | None = None
+        final: list[Row] = []
         while rows is None or rows != self._rows():
             with folders.alone(self._out, folders.BATCH):
                 rows = self._rows()
                 if self._is_superseded():
-                    return
-                write(self._out, rows)
+                    return rows
+                final = self._write(rows)
+        return final
+
+    def _write(self, rows: list[Row]) -> list[Row]:
+        """The files of the task, with all rows; returns the rows as written."""
+        first = self._whole[0]
+        if first.task == EXAMINE:
+            return write_examined(self._out, rows, first.bounds)
+        write(self._out, rows)
+        return rows
 
     def _is_superseded(self) -> bool:
         """Whether a batch of these and more logs began in the folder meanwhile: it writes all rows."""
@@ -74,12 +87,29 @@ def line(row: Row) -> str:
 
 def write(out: Path, rows: Sequence[Row]) -> None:
     """All three files, whole, rows in the order given."""
-    for name, text in (
-        ("results.jsonl", "".join(line(row) for row in rows)),
-        ("junit.xml", junit(rows)),
-        ("summary.html", summary(rows)),
-    ):
+    texts = {"results.jsonl": "".join(map(line, rows)), "junit.xml": junit(rows), "summary.html": summary(rows)}
+    for name, text in texts.items():
         _leave(out / name, text)
+
+
+def write_examined(out: Path, rows: Sequence[Row], bounds: Sequence[str]) -> list[Row]:
+    """The files of a dataset's examination; returns the rows, judged beside their siblings.
+
+    JUnit XML has one more case, for the dataset: bounds may name figures of the whole.
+    """
+    from ..dataset import outputs
+
+    judged = outputs.judge_dataset(out, rows)
+    whole = outputs.dataset_row(judged, bounds)
+    texts = {
+        "results.jsonl": "".join(map(line, judged.rows)),
+        "junit.xml": junit([*judged.rows, whole]),
+        folders.DATASET: line(whole),
+        folders.PAGE: outputs.page(judged),
+    }
+    for name, text in texts.items():
+        _leave(out / name, text)
+    return judged.rows
 
 
 def _leave(path: Path, text: str) -> None:

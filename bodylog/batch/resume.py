@@ -17,7 +17,7 @@ from ..score_names import FIGURES, split
 from ..settings import Settings, plain
 from ..version import __version__
 from .folders import RESULT, ROW, mark
-from .jobs import KEYS, Job, Row
+from .jobs import ESTIMATE, KEYS, Job, Row
 
 _LONGEST = 64 << 20
 """Bytes of a row."""
@@ -31,13 +31,19 @@ def key(job: Job) -> str:
     """Digest of what a log's outputs depend on: log (a URL: its identity), body, settings, bounds, version."""
     wait_s = job.settings.input.max_wait_s
     log = remote.identity(job.log, wait_s) if remote.is_url(job.log) else digest(Path(job.log))
-    parts = [log, sha256(job.body), plain(job.settings), list(job.bounds), __version__]
-    return _digest(parts)
+    return _digest([log, *_conditions(job.body, job.settings, job.bounds, job.task)])
 
 
-def how(body: Path, settings: Settings, bounds: Sequence[str]) -> str:
-    """Digest of what all logs' outputs depend on: body, settings, bounds, version."""
-    return _digest([sha256(body), plain(settings), list(bounds), __version__])
+def how(body: Path | None, settings: Settings, bounds: Sequence[str], task: str = ESTIMATE) -> str:
+    """Digest of what all logs' outputs depend on: body, settings, bounds, version, task."""
+    return _digest(_conditions(body, settings, bounds, task))
+
+
+def _conditions(body: Path | None, settings: Settings, bounds: Sequence[str], task: str) -> list[Any]:
+    model = None if body is None else sha256(body)
+    # results of earlier versions, which knew one task, stay valid
+    tasks = [] if task == ESTIMATE else [task]
+    return [model, plain(settings), list(bounds), __version__, *tasks]
 
 
 def leave(job: Job, row: Row) -> Row:

@@ -1,8 +1,9 @@
-"""One log of a batch: estimate, score, report, and the row of its results."""
+"""One log of a batch: estimate, score and report it, or examine it; and the row of its results."""
 
+import json
 import shutil
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -18,8 +19,8 @@ from ..io.temporary import PART, remove_stale
 from ..runtime import sigbus
 from ..types import Fault, Health
 from . import folders, resume
-from .folders import OUTPUTS
-from .jobs import Job, Row
+from .folders import EVIDENCE, OUTPUTS
+from .jobs import ESTIMATE, EXAMINE, Job, Row
 from .resume import ODD
 
 STATUS = {
@@ -58,7 +59,7 @@ def _on_one_core() -> Iterator[None]:
 
 def _rerun(job: Job) -> Row:
     remove_stale(job.folder, f".*{PART}")
-    for stale in (job.folder / name for name in (*OUTPUTS, folders.ROW)):
+    for stale in (job.folder / name for name in (*OUTPUTS, *EVIDENCE, folders.ROW)):
         shutil.rmtree(stale) if stale.is_dir() and not stale.is_symlink() else stale.unlink(missing_ok=True)
     return resume.leave(job, _attempt(job))
 
@@ -81,7 +82,7 @@ def _attempt(job: Job) -> Row:
     key = None
     try:
         key, before = resume.key(job), sigbus.zeroed_pages()
-        done = _estimate(job)
+        done = TASKS[job.task](job)
         if sigbus.zeroed_pages() > before:
             raise LogError(f"{job.log}: part of it could not be read; check the disk it is on")
         return _row(job, key, **done)
@@ -113,6 +114,30 @@ def _estimate(job: Job) -> dict[str, Any]:
     return {"code": code, "error": error, "result": result, "messages": pipeline.count(annotated)}
 
 
+def _examine(job: Job) -> dict[str, Any]:
+    """Keywords of `_row`, for an episode examined beside its siblings; its evidence is left for their comparison."""
+    from ..dataset import examination
+
+    with remote.local(job.log, job.folder, job.settings.input.max_wait_s) as log:
+        result, evidence = examination.examine_episode(log, job.settings, job.log)
+    text = json.dumps(evidence, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    _leave(job.folder / EVIDENCE[0], text)
+    lost = any(finding.severity == "lost" for finding in result.findings)
+    code, error = (3 if lost else 0), None
+    known = [bounds.parse(text) for text in job.bounds]
+    try:
+        bounds.check({job.name: result.scores}, bounds.measured(result.scores, known))
+    except BoundError as err:
+        code, error = err.exit_code, str(err)
+    return {"code": code, "error": error, "result": result}
+
+
+TASKS: Mapping[str, Callable[[Job], dict[str, Any]]] = {ESTIMATE: _estimate, EXAMINE: _examine}
+"""What a batch does with each log, by the name of the task."""
+LEAVES: Mapping[str, tuple[str, ...]] = {ESTIMATE: OUTPUTS, EXAMINE: EVIDENCE}
+"""The files that a task leaves beside the row of each log."""
+
+
 def _row(
     job: Job,
     key: str | None,
@@ -129,7 +154,7 @@ def _row(
         "exit_code": code,
         "error": error,
         "messages": messages,
-        "outputs": {name: sha256(job.folder / name) for name in OUTPUTS if result},
+        "outputs": {name: sha256(job.folder / name) for name in LEAVES[job.task] if result},
         "scores": {score.name: _finite(score.value) for score in result.scores} if result else {},
         "used": {sense: health.used for sense, health in result.health.items()} if result else {},
         "verdict": list(result.verdict) if result else [],

@@ -66,6 +66,12 @@ def check(figures: Mapping[str, Sequence[Score]], bounds: Sequence[Bound]) -> No
         raise BoundError("; ".join(broken))
 
 
+def measured(figures: Sequence[Score], bounds: Sequence[Bound]) -> list[Bound]:
+    """The bounds that name any of the figures."""
+    names = [figure.name for figure in figures]
+    return [bound for bound in bounds if any(bound.name == name or fnmatchcase(name, bound.name) for name in names)]
+
+
 def _broken(path: str, figures: Sequence[Score], bound: Bound) -> Iterator[str]:
     values = {figure.name: figure.value for figure in figures}
     plain = [bound.name] if bound.name in values else [name for name in values if fnmatchcase(name, bound.name)]

@@ -14,11 +14,11 @@ from ..records import Array, Batch
 from .episode_log import JOINTS, Camera, EpisodeLog, Signal
 from .lerobot_layout import Layout
 
-_BLACK = 20
+BLACK_GREY = 20
 """Grey levels: black in video is 16 (BT.601), and a covered sensor's noise a few levels more."""
 _BLOCK = 8
 """px: block size of a video codec."""
-_SAME = 4.0
+SAME_GREY = 4.0
 """Grey levels: no block's mean differs by more when the same image is encoded again. Measured on an image repeated 60
 times: AV1 (crf 30) 0, H.264 (crf 23) 1; on a real MPEG-4 recording whose camera repeats images 2.5. A new image of
 that recording differs by at least 112."""
@@ -44,8 +44,7 @@ class _ImageRecord:
         import cv2
 
         grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2GRAY)
-        size = max(grey.shape[1] // _BLOCK, 1), max(grey.shape[0] // _BLOCK, 1)
-        small = cv2.resize(grey.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        small = block_means(grey)
         same = self.last is not None and self.last.shape == small.shape
         self.change.append(float(np.abs(small - self.last).max()) if same and self.last is not None else np.inf)
         self.bright.append(float(np.percentile(grey, 99)))
@@ -79,26 +78,34 @@ class Checks:
         for number, record in self._records.items():
             yield from _camera(self._log.cameras[number], record, joints)
         yield from () if joints is None else _joints(joints)
-        yield from _length(self._log)
+        yield from length_texts(self._log)
+
+
+def block_means(grey: Array) -> Array:
+    """Means of the blocks of a grey image (H,W) uint8, (H/8,W/8) float32."""
+    import cv2
+
+    size = max(grey.shape[1] // _BLOCK, 1), max(grey.shape[0] // _BLOCK, 1)
+    return np.asarray(cv2.resize(grey.astype(np.float32), size, interpolation=cv2.INTER_AREA))
 
 
 def _camera(camera: Camera, record: _ImageRecord, joints: Signal | None) -> Iterator[str]:
     name = camera.topic
     if not record.ns:
         return
-    black = np.array(record.bright) < _BLACK
+    black = np.array(record.bright) < BLACK_GREY
     if black.all():
         yield f"{name}: the camera is black in all {len(black)} images"
         return
-    for first, end in _runs(black, record.ns):
+    for first, end in long_runs(black, record.ns):
         yield f"{name}: the camera is black {_when(record.ns, first, end)}"
-    same = np.append((np.array(record.change) < _SAME)[1:], False)
-    yield from _frozen(name, record.ns, list(_runs(same & ~black, record.ns)), joints)
+    same = np.append((np.array(record.change) < SAME_GREY)[1:], False)
+    yield from _frozen(name, record.ns, list(long_runs(same & ~black, record.ns)), joints)
 
 
 def _frozen(name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: Signal | None) -> Iterator[str]:
     """Runs of identical images while joints move."""
-    runs = [(first, end) for first, end in runs if joints is None or _moves(joints, ns[first], ns[end - 1])]
+    runs = [(first, end) for first, end in runs if joints is None or moves_between(joints.values, joints.ns, ns[first], ns[end - 1])]
     if not runs:
         return
     moving = "" if joints is None else " while joints move"
@@ -112,8 +119,8 @@ def _frozen(name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: S
         yield f"{name}: the camera is frozen {often}, at the longest {longest}"
 
 
-def _runs(which: Array, ns: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """Runs (first, beyond the last) that are long enough to report."""
+def long_runs(which: Array, ns: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Runs (first, beyond the last) of images at ns (N,) that are long enough to report."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))).reshape(-1, 2)
     for first, end in edges.tolist():
         if end - first >= _MANY and ns[end - 1] - ns[first] >= _LONG_S * 1e9:
@@ -125,16 +132,16 @@ def _when(ns: Sequence[int], first: int, end: int) -> str:
     return f"from {begin:.2f} to {last:.2f} s ({end - first} images)"
 
 
-def _moves(joints: Signal, first_ns: int, last_ns: int) -> bool:
-    """Whether any joint crosses part of its range in that time."""
-    during = joints.values[(joints.ns >= first_ns) & (joints.ns <= last_ns)]
+def moves_between(values: Array, times: Array, first: float, last: float) -> bool:
+    """Whether any joint of values (N,K) at times (N,) crosses part of its range from `first` to `last`."""
+    during = values[(times >= first) & (times <= last)]
     if not len(during):
         return False
-    whole, part = _range(joints.values), _range(during)
+    whole, part = value_ranges(values), value_ranges(during)
     return bool((part > _MOVED * whole)[whole > 0].any())
 
 
-def _range(values: Array) -> Array:
+def value_ranges(values: Array) -> Array:
     """Range of each column (K,), 0 if it holds no number."""
     known = np.isfinite(values)
     low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
@@ -142,7 +149,7 @@ def _range(values: Array) -> Array:
 
 
 def _joints(joints: Signal) -> Iterator[str]:
-    still = [name for name, one in zip(joints.names, _range(joints.values), strict=True) if one == 0]
+    still = [name for name, one in zip(joints.names, value_ranges(joints.values), strict=True) if one == 0]
     if still:
         yield f"{joints.topic}: {', '.join(still)} {'is' if len(still) == 1 else 'are'} constant throughout"
     if missing := int((~np.isfinite(joints.values)).sum()):
@@ -166,7 +173,8 @@ def _wraps(joints: Signal) -> Iterator[str]:
             yield f"{joints.topic}: {name} wraps around {count} times: it leaps by more than half a turn"
 
 
-def _length(log: EpisodeLog) -> Iterator[str]:
+def length_texts(log: EpisodeLog) -> Iterator[str]:
+    """What is wrong with an episode's length."""
     declared = log.episode.length
     rows = max((len(one.ns) for one in log.signals), default=0)
     if declared is not None and declared != rows:

@@ -13,6 +13,7 @@ from ...io.values import number, read_json
 from . import parquet
 
 INFO, EPISODES, TASKS = "meta/info.json", "meta/episodes.jsonl", "meta/tasks.jsonl"
+EPISODE_STATISTICS, STATISTICS = "meta/episodes_stats.jsonl", "meta/stats.json"
 EPISODE_TABLES, TASK_TABLE = "meta/episodes", "meta/tasks.parquet"
 _MOST_BYTES = 64 << 20
 _MOST_FEATURES = 1000
@@ -141,6 +142,15 @@ def _layout(folder: Path, *_: tuple[int, int]) -> Layout:
     known = {str(name): declared for name, declared in features.items() if isinstance(declared, dict)}
     listed = _listed_v3(folder) if version.startswith("v3") else _listed_v2(folder)
     return Layout(folder, info, known, fps, listed)
+
+
+def stored_statistics(layout: Layout) -> tuple[dict[int, Any], Any]:
+    """Statistics as the dataset's files have them: {episode: {feature: …}}, and of the whole; empty without a file."""
+    folder = layout.folder
+    each, whole = folder / EPISODE_STATISTICS, folder / STATISTICS
+    rows = _lines(each) if each.is_file() else []
+    by_episode = {row["episode_index"]: row.get("stats") for row in rows if _is_index(row.get("episode_index"))}
+    return by_episode, _json(whole) if whole.is_file() else {}
 
 
 def tasks(layout: Layout) -> dict[int, str]:

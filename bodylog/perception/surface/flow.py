@@ -7,12 +7,17 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError
+from ...logs.datasets.checks import block_means
 from ...types import Array, Frame
 from ..colours.coarse_search import gray
 from .repeats import SHRINK, FrameRepeats, RepeatSearch, shrink_grey
 
 FLOW_WIDTH_PX = 320
 """Width at which flow is computed: twice that changes delays by less than their σ and costs four times as much."""
+PICTURES = 6
+"""Pictures of a film that are kept for people."""
+WHITE_GREY = 250
+"""Grey level from which a pixel is saturated: white in video is 235 to 255."""
 GRID_ROWS, GRID_COLUMNS = 6, 8
 """Cells of the grid: each is wider than the features that flow needs, and narrower than a forearm."""
 
@@ -23,13 +28,18 @@ class GridFlow:
 
     times (N,2) s: stamps of the earlier and the later frame · flow (N,rows,columns,2) pixels at FLOW_WIDTH_PX, along
     u and v · brightness (M,) 99th percentile of each stored frame, grey levels · sharpness (M,) variance of its
-    Laplacian, grey levels² · repeats: which stored frames repeat their predecessor · size (width, height) px.
+    Laplacian, grey levels² · saturated (M,) share of its pixels that are white · block_change (M,) largest change of
+    a block's mean against the frame before, grey levels, infinite of the first · pictures: a few frames (h,w) uint8,
+    evenly spread · repeats: which stored frames repeat their predecessor · size (width, height) px.
     """
 
     times: Array
     flow: Array
     brightness: Array
     sharpness: Array
+    saturated: Array
+    block_change: Array
+    pictures: tuple[Array, ...]
     repeats: FrameRepeats
     size: tuple[int, int]
 
@@ -46,6 +56,10 @@ def measure_grid_flow(frames: Iterable[Frame]) -> GridFlow | None:
     flows: list[Array] = []
     brightness: list[float] = []
     sharpness: list[float] = []
+    saturated: list[float] = []
+    block_change: list[float] = []
+    pictures = _SpreadPictures()
+    blocks: Array | None = None
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
     before: Array | None = None
     size = (0, 0)
@@ -59,7 +73,13 @@ def measure_grid_flow(frames: Iterable[Frame]) -> GridFlow | None:
         if before is not None:
             flows.append(_cell_means(estimator, before, small))
         brightness.append(float(np.percentile(small, 99)))
-        sharpness.append(float(cv2.Laplacian(small, cv2.CV_32F).var()))
+        deviation = cv2.meanStdDev(cv2.Laplacian(small, cv2.CV_32F))[1]
+        sharpness.append(float(deviation[0, 0]) ** 2)
+        saturated.append(float(np.count_nonzero(small >= WHITE_GREY)) / small.size)
+        earlier = blocks
+        blocks = block_means(image)
+        block_change.append(float("inf") if earlier is None else float(np.abs(blocks - earlier).max()))
+        pictures.add(small)
         times.append(t)
         before = small
     if len(times) < 2:
@@ -71,9 +91,35 @@ def measure_grid_flow(frames: Iterable[Frame]) -> GridFlow | None:
         np.array(flows)[intervals[:, 1] - 1],
         np.array(brightness),
         np.array(sharpness),
+        np.array(saturated),
+        np.array(block_change),
+        pictures.chosen(),
         repeats,
         size,
     )
+
+
+class _SpreadPictures:
+    """Keeps pictures that are evenly spread over a film of unknown length: every second one goes when there are many."""
+
+    def __init__(self) -> None:
+        self._every = 1
+        self._count = 0
+        self._pictures: list[Array] = []
+
+    def add(self, picture: Array) -> None:
+        """Take the next picture."""
+        if self._count % self._every == 0:
+            self._pictures.append(picture)
+        if len(self._pictures) >= 2 * PICTURES:
+            self._pictures = self._pictures[::2]
+            self._every *= 2
+        self._count += 1
+
+    def chosen(self) -> tuple[Array, ...]:
+        """At most PICTURES of them, from the first to the last."""
+        numbers = np.linspace(0, len(self._pictures) - 1, min(PICTURES, len(self._pictures)))
+        return tuple(self._pictures[number] for number in numbers.round().astype(int).tolist())
 
 
 def _grey_frames(frames: Iterable[Frame]) -> Iterator[tuple[float, Array]]:

@@ -1,0 +1,92 @@
+"""Datasets and folders of logs for `doctor`: what is one, which of its episodes are examined, and its results."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ..errors import UsageError
+from ..evaluation import bounds as score_bounds
+from ..io import episodes, remote
+from ..io.atomic_files import replacing
+from ..io.outputs import Output, guard
+from ..io.temporary import scratch
+from ..io.values import read_json
+from . import Plan, Report, batch, exit_code, folders, jobs
+from .jobs import Row
+
+
+@dataclass(frozen=True)
+class Examined:
+    """A dataset examined: the rows of its episodes, the row of the whole, and the exit code."""
+
+    rows: tuple[Row, ...]
+    whole: Row
+    code: int
+
+
+def is_dataset(log: Path | str) -> bool:
+    """Whether a path holds several logs: a dataset's folder, a folder of logs, or a file of several episodes."""
+    from ..logs.datasets import kinds
+
+    if not isinstance(log, Path) or episodes.split(log)[1] is not None or not log.exists():
+        return False
+    if log.is_dir():
+        return kinds.is_dataset(log) or (kinds.of_folder(log) is None and not jobs.is_rosbag2(log))
+    return len(kinds.numbers(log)) > 1
+
+
+def chosen_episodes(logs: Sequence[Path | str], begin: int | None, end: int | None) -> tuple[str, ...]:
+    """The logs in a dataset, in order; of numbered episodes those from `begin` to before `end`."""
+    found = [log for given in logs for log in jobs.find(str(given))]
+    numbers = [None if remote.is_url(log) else episodes.split(Path(log))[1] for log in found]
+    if begin is None and end is None:
+        return tuple(found)
+    if all(number is None for number in numbers):
+        return tuple(found[begin:end])
+    low, high = begin or 0, float("inf") if end is None else end
+    chosen = tuple(
+        log for log, number in zip(found, numbers, strict=True) if number is not None and low <= number < high
+    )
+    if not chosen:
+        there = [number for number in numbers if number is not None]
+        raise UsageError(f"--episodes: none of them is there; possible: {min(there)} to {max(there)}")
+    return chosen
+
+
+def examine(plan: Plan, report: Report | None, page: Path | None, table: Path | None) -> Examined:
+    """Examine all episodes of a plan; `page` and `table` are files to write beside plan.out."""
+    from ..dataset import outputs
+
+    files = [Output(path, option) for path, option in ((page, "-o"), (table, "--csv")) if path is not None]
+    bases = [Path(log) for group in plan.groups for log in group.logs if not remote.is_url(log)]
+    guard([*plan.inputs, *bases], files)
+    rows = batch(plan, report)
+    whole = read_json((plan.out / folders.DATASET).read_text(encoding="utf-8"))
+    if page is not None:
+        text = (plan.out / folders.PAGE).read_text(encoding="utf-8")
+        with replacing(page) as beside:
+            beside.write_text(text, encoding="utf-8")
+    if table is not None:
+        outputs.write_table(rows, table)
+    _require_measured(plan, rows, whole)
+    return Examined(tuple(rows), whole, exit_code([*rows, whole]))
+
+
+def examine_without_folder(plan: Plan, report: Report | None, page: Path | None, table: Path | None) -> Examined:
+    """As `examine`; the rows' folder is temporary."""
+    with scratch() as folder:
+        return examine(replace(plan, out=folder / "rows"), report, page, table)
+
+
+def _require_measured(plan: Plan, rows: Sequence[Row], whole: dict[str, Any]) -> None:
+    """UsageError for a bound that names no figure of any episode nor of the whole."""
+    from ..types import Score
+
+    names = {name for row in (*rows, whole) for name in row["scores"]}
+    figures = [Score(name, 0.0, "") for name in sorted(names)]
+    for text in dict.fromkeys(text for group in plan.groups for text in group.bounds):
+        bound = score_bounds.parse(text)
+        if not score_bounds.measured(figures, [bound]):
+            possible = ", ".join(sorted({name.partition("/")[0] for name in names}))
+            raise UsageError(f"--fail-if {text!r}: no episode has this score; measured were {possible}")

@@ -1,0 +1,160 @@
+"""Checks of an episode's cameras, each by what was seen of its images once."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..logs.datasets.checks import BLACK_GREY, SAME_GREY, long_runs, moves_between
+from ..perception.surface.flow import GridFlow
+from ..types import Array
+from .reading import EpisodeReading
+from .records import Measurement
+
+REPEATED_SHARE = 0.05
+"""Share of repeated frames from which a film is not of its nominal rate."""
+SATURATED_SHARE = 0.5
+"""Share of white pixels from which a frame is saturated."""
+BLURRED_SHARE = 0.1
+"""Sharpness of a blurred frame, as a share of the sharpest quarter's."""
+DROPPED_INTERVALS = 1.5
+"""Median intervals between stamps, beyond which frames are missing between them."""
+LATE_S = 0.01
+"""s: shorter delays are less than a third of a frame at 30 Hz."""
+SIGNIFICANT_SIGMA = 3.0
+
+
+def measure_delays(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Delays of images against the joints by flow (s), where the evidence suffices."""
+    for name, film in reading.films.items():
+        found = film.delay
+        if found is None:
+            continue
+        if not found.certain:
+            text = f"{name}: no delay by the picture's motion: {found.nats:.0f} nats of evidence"
+            yield Measurement(name, float("nan"), None, text, "info")
+            continue
+        delay = found.delay
+        late = abs(delay.seconds) > max(LATE_S, SIGNIFICANT_SIGMA * delay.std_error)
+        way = "late" if delay.seconds > 0.0 else "early"
+        size = f"{1e3 * abs(delay.seconds):.0f} ± {1e3 * delay.std_error:.0f} ms"
+        text = f"{name}: images are {size} {way} against the joints" if late else ""
+        yield Measurement(name, delay.seconds, delay.std_error, text)
+
+
+def measure_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Share of frames that repeat their predecessor, among those of which that can be told."""
+    for name, seen in _seen(reading):
+        share = seen.repeats.share
+        if share is None:
+            continue
+        stored, distinct = seen.repeats.stored_hz, seen.repeats.distinct_hz
+        text = ""
+        if share >= REPEATED_SHARE and stored is not None and distinct is not None:
+            text = f"{name}: {stored:.3g} Hz, of which {distinct:.3g} distinct: {100.0 * share:.0f} % repeat"
+        yield Measurement(name, share, None, text)
+
+
+def measure_rates(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Rate of distinct frames (Hz)."""
+    for name, seen in _seen(reading):
+        if seen.repeats.distinct_hz is not None:
+            yield Measurement(name, seen.repeats.distinct_hz)
+
+
+def measure_dropped_frames(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Share of frames that gaps between stamps say are missing."""
+    for name, seen in _seen(reading):
+        gaps = np.diff(seen.repeats.t)
+        usual = float(np.median(gaps))
+        if usual <= 0.0:
+            continue
+        missing = np.where(gaps > DROPPED_INTERVALS * usual, np.round(gaps / usual) - 1.0, 0.0)
+        count = int(missing.sum())
+        text = f"{name}: {count} frames are missing between {len(gaps) + 1}" if count else ""
+        yield Measurement(name, count / (count + len(gaps) + 1), None, text)
+
+
+def measure_frozen_images(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Share of images in stretches that stay the same while joints move."""
+    for name, seen in _seen(reading):
+        same = np.append((seen.block_change < SAME_GREY)[1:], False) & (seen.brightness >= BLACK_GREY)
+        yield _share_of_runs(name, seen, same, reading, "frozen while joints move")
+
+
+def measure_black_images(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Share of images in black stretches."""
+    for name, seen in _seen(reading):
+        yield _share_of_runs(name, seen, seen.brightness < BLACK_GREY, None, "black")
+
+
+def measure_saturated_images(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Share of images in stretches that are mostly white."""
+    for name, seen in _seen(reading):
+        yield _share_of_runs(name, seen, seen.saturated > SATURATED_SHARE, None, "white")
+
+
+def measure_blurred_images(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Share of images in stretches far less sharp than the sharpest quarter of the episode."""
+    for name, seen in _seen(reading):
+        lit = seen.brightness >= BLACK_GREY
+        usual = float(np.quantile(seen.sharpness[lit], 0.75)) if lit.any() else 0.0
+        blurred = lit & (seen.sharpness < BLURRED_SHARE * usual)
+        found = _share_of_runs(name, seen, blurred, None, "blurred, or shows a plain surface,")
+        yield Measurement(name, found.value, None, found.text, "info")
+
+
+def measure_sharpness(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Logarithm of the median variance of the images' Laplacian (ln grey²)."""
+    for name, seen in _seen(reading):
+        yield Measurement(name, float(np.log(max(float(np.median(seen.sharpness)), 1e-3))))
+
+
+def measure_brightness(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Median over images of the 99th percentile of their grey levels."""
+    for name, seen in _seen(reading):
+        yield Measurement(name, float(np.median(seen.brightness)))
+
+
+def measure_missing_images(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Share of a camera's images that cannot be decoded; nothing of an episode that is seen in part."""
+    roles = reading.read.roles
+    for name, film in reading.films.items():
+        topic = roles.get("camera" if name == "camera" else f"camera/{name}", roles.get("camera", ""))
+        health = reading.read.health.get(topic)
+        seen = 0 if film.seen is None else len(film.seen.brightness)
+        if health is None or reading.read.duration_s > LONGEST_WHOLE_S or seen >= health.used:
+            continue
+        count = health.used - seen
+        text = f"{name}: {count} of {health.used} images cannot be read"
+        yield Measurement(name, count / health.used, None, text, "lost")
+
+
+LONGEST_WHOLE_S = 60.0
+"""s: images of longer episodes are seen in part."""
+
+
+def _seen(reading: EpisodeReading) -> Iterator[tuple[str, GridFlow]]:
+    for name, film in reading.films.items():
+        if film.seen is not None:
+            yield name, film.seen
+
+
+def _share_of_runs(
+    name: str, seen: GridFlow, which: Array, reading: EpisodeReading | None, what: str
+) -> Measurement:
+    """Share of images in long runs; with a `reading`, of those runs alone in which its joints move."""
+    t = seen.repeats.t
+    ns = np.rint(t * 1e9).astype(np.int64).tolist()
+    runs = list(long_runs(which, ns))
+    if reading is not None and reading.joints is not None:
+        joints = reading.joints
+        runs = [run for run in runs if moves_between(joints.values, joints.t, t[run[0]], t[run[1] - 1])]
+    count = sum(end - first for first, end in runs)
+    if not count:
+        return Measurement(name, 0.0)
+    first, end = max(runs, key=lambda run: run[1] - run[0])
+    if count == len(which):
+        return Measurement(name, 1.0, None, f"{name}: {what} in all {count} images")
+    longest = f"at the longest {t[first]:.2f} to {t[end - 1]:.2f} s"
+    text = f"{name}: {what} in {count} of {len(which)} images, {longest}"
+    return Measurement(name, count / len(which), None, text)

@@ -1,0 +1,144 @@
+"""One episode examined: its scores and findings, and the evidence by which it is judged beside its siblings."""
+
+import base64
+import hashlib
+from collections.abc import Mapping
+from dataclasses import replace
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..result import Result, Scores
+from ..settings import Settings
+from ..types import Array, Finding, Score
+from .checks import CHECKS, figure_name
+from .reading import EpisodeReading, Stored, read_episode
+
+CURVE_POINTS = 60
+"""Points of a joint's curve that a page draws."""
+THUMBNAIL_WIDTH_PX = 160
+_QUALITY = 75
+
+
+def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, dict[str, Any]]:
+    """All checks of one episode: the result for people, and the evidence as plain values (see `evidence`).
+
+    `name`: what texts call the log. InputError where it cannot be used.
+    """
+    reading = read_episode(log, settings)
+    scores, findings = list[Score](), [one for one in reading.findings if not _says_only_roles(one)]
+    figures: dict[str, list[float | None]] = {}
+    for check in CHECKS:
+        for one in check.measure(reading):
+            figure = figure_name(check, one.part)
+            if one.text:
+                findings.append(Finding(one.severity, f"{log}: {one.text}"))
+            if not isfinite(one.value):
+                continue
+            figures[figure] = [one.value, one.std]
+            if check.public:
+                scores.append(Score(figure, one.value, check.unit, one.std))
+                if one.std is not None:
+                    scores.append(Score(f"std/{figure}", one.std, check.unit))
+    if settings.kinematics.urdf is not None and settings.time.delay != "off":
+        _add_surface(log, settings, scores, findings, figures)
+    findings = [replace(one, text=one.text.replace(str(log), name)) for one in findings]
+    about = evidence(reading, figures)
+    return Result(None, Scores(scores), reading.read.health, tuple(dict.fromkeys(findings))), about
+
+
+def _add_surface(
+    log: Path, settings: Settings, scores: list[Score], findings: list[Finding],
+    figures: dict[str, list[float | None]],
+) -> None:  # fmt: skip
+    """Add what the robot's own surface tells of cameras and joint zeros."""
+    from ..surface_findings import examine
+
+    found = examine(log, settings)
+    scores += found.scores
+    findings += found.findings
+    values = {one.name: one.value for one in found.scores}
+    for name, value in values.items():
+        if name.startswith("delay/"):
+            figures[name] = [value, values.get(f"std/{name}")]
+
+
+def _says_only_roles(finding: Finding) -> bool:
+    """Whether a finding is advice for robot.toml, which every episode of a dataset would repeat."""
+    return finding.severity == "info" and finding.text.startswith("roles, ready for robot.toml")
+
+
+def evidence(reading: EpisodeReading, figures: Mapping[str, list[float | None]]) -> dict[str, Any]:
+    """What the comparison with siblings and the page need, as plain values.
+
+    figures {name: [value, standard error or null]} · joints: names, unit, t and curves of few points · action: curves
+    of the same joints · cameras {name: thumbnails (JPEG, base64), size, stored_hz, black} · statistics {feature:
+    count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
+    """
+    return {
+        "figures": {name: list(pair) for name, pair in sorted(figures.items())},
+        "joints": None if reading.joints is None else _curves(reading.joints),
+        "action": None if reading.action is None else _curves(reading.action),
+        "cameras": {name: _camera(film.seen) for name, film in reading.films.items()},
+        "statistics": {name: _statistics(values) for name, values in reading.features.items()},
+        "digest": _digest(reading),
+        "duration_s": reading.read.duration_s,
+        "rows": reading.rows,
+    }
+
+
+def _curves(stored: Stored) -> dict[str, Any]:
+    if not len(stored.t):
+        return {"names": list(stored.names), "unit": stored.unit, "t": [], "curves": []}
+    rows = np.unique(np.linspace(0, len(stored.t) - 1, CURVE_POINTS).round().astype(int))
+    return {
+        "names": list(stored.names),
+        "unit": stored.unit,
+        "t": _plain(stored.t[rows]),
+        "curves": [_plain(column) for column in stored.values[rows].T],
+    }
+
+
+def _plain(values: Array) -> list[float | None]:
+    """Numbers as JSON holds them, to six figures."""
+    return [float(f"{value:.6g}") if isfinite(value) else None for value in values.tolist()]
+
+
+def _camera(seen: Any) -> dict[str, Any]:
+    if seen is None:
+        return {"thumbnails": [], "size": None, "stored_hz": None}
+    return {
+        "thumbnails": [_jpeg(picture) for picture in seen.pictures],
+        "size": list(seen.size),
+        "stored_hz": seen.repeats.stored_hz,
+    }
+
+
+def _jpeg(picture: Array) -> str:
+    import cv2
+
+    height, width = picture.shape
+    if width > THUMBNAIL_WIDTH_PX:
+        size = (THUMBNAIL_WIDTH_PX, max(round(height * THUMBNAIL_WIDTH_PX / width), 1))
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+    done = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+    return base64.b64encode(done.tobytes()).decode()
+
+
+def _statistics(values: Array) -> dict[str, Any]:
+    from ..logs.datasets.statistics import of_numbers
+
+    return of_numbers(values)
+
+
+def _digest(reading: EpisodeReading) -> str | None:
+    """The digest of joints and actions as stored; None without joints that move."""
+    if reading.joints is None or not np.ptp(np.nan_to_num(reading.joints.values), axis=0).any():
+        return None
+    found = hashlib.sha256()
+    for stored in (reading.joints, reading.action):
+        if stored is not None:
+            found.update(np.ascontiguousarray(stored.values, "<f8").tobytes())
+    return found.hexdigest()
