@@ -44,7 +44,8 @@ def has_motion(read: Recording) -> bool:
 
 
 def see_cameras(read: Recording) -> "Iterator[tuple[str, GridFlow | None]]":
-    """Yield each camera's name and the motion of its picture, None without two images; each image is decoded once."""
+    """Yield each camera's name and the motion of its picture, None without two images; each image
+    is decoded once."""
     from .perception.surface.flow import measure_grid_flow
 
     for name, film in {"": read.frames, **read.views}.items():
@@ -53,7 +54,8 @@ def see_cameras(read: Recording) -> "Iterator[tuple[str, GridFlow | None]]":
 
 
 def delay_by_flow(read: Recording, seen: "GridFlow | None") -> "FlowDelay | None":
-    """The delay of a camera whose picture moves as `seen`; None where images or joints do not suffice."""
+    """The delay of a camera whose picture moves as `seen`; None where images or joints do not
+    suffice."""
     from .estimation.timing.flow_delay import estimate_flow_delay
 
     if read.joints is None or seen is None or len(seen.times) < 2:

@@ -18,8 +18,9 @@ FIGURES: Mapping[str, str] = {
     "range": "rad", "influence": "px", "length_scale": "rad",
     "offset": "rad", "std/offset": "rad", "scale": "1", "std/scale": "1",
     "faults": "1", "fault": "", "delay": "s", "std/delay": "s",
-    "repeated": "1", "rate": "Hz", "dropped": "1", "frozen": "1", "black": "1", "saturated": "1", "blurred": "1",
-    "stamp_jitter": "s", "idle": "1", "duration": "s", "longest_repeat": "s", "clipped": "1", "jumps": "1",
+    "repeated": "1", "rate": "Hz", "dropped": "1", "frozen": "1", "black": "1", "saturated": "1",
+    "blurred": "1", "stamp_jitter": "s", "idle": "1", "duration": "s", "longest_repeat": "s",
+    "clipped": "1", "jumps": "1",
     "error/action": "", "jitter/delay": "s", "episodes": "1", "outliers": "1",
     "row_time": "s", "std/row_time": "s", "focal": "px", "std/focal": "px", "rmse/surface": "px",
 }  # fmt: skip

@@ -69,6 +69,7 @@ def _groups(logs: tuple[str, ...], settings: "Settings", what: dict[str, Any]) -
 
 
 def print_row(row: dict[str, Any], done: int, total: int) -> None:
+    """Print a finished row on standard error."""
     from .output import line, verbosity
 
     if verbosity() >= 0:
@@ -113,6 +114,7 @@ def _entry(row: dict[str, Any], out: Path) -> dict[str, Any]:
 
 
 def shard_of(text: str) -> tuple[int, int]:
+    """The shard that I/N names."""
     found = re.fullmatch(r"(\d+)/(\d+)", text)
     if not found:
         raise click.BadParameter(f"{text!r}; it must be I/N, e.g. 2/4", param_hint="--shard")

@@ -30,30 +30,62 @@ def _episode_range(
     return (int(found[1]) if found[1] else None, int(found[2]) if found[2] else None)
 
 
-@click.command(epilog="Example: bodylog doctor DATASET --jobs 2 -o report.html")
+@click.command(epilog="Example: bodylog doctor crashed.mcap --repair sound.mcap")
 @logs_argument
-@click.option("--repair", type=OUT, metavar="OUT.mcap", help="Write what is sound of one log there.")
-@click.option("--body", type=PATH, help="Measure camera delays by this body; default: by one learned from the log.")
+@click.option(
+    "--repair", type=OUT, metavar="OUT.mcap", help="Write what is sound of one log there."
+)
+@click.option(
+    "--body",
+    type=PATH,
+    help="Measure camera delays by this body; default: by one learned from the log.",
+)
 @setting("kinematics", "urdf", metavar="ROBOT.urdf|log", help=_URDF)
-@click.option("-o", "--output", "out", type=OUT, metavar="OUT", help=_OUT)
-@click.option("--csv", "table", type=OUT, metavar="FILE", help="Of a dataset: a row per episode, .csv or .parquet.")
-@click.option("--episodes", callback=_episode_range, metavar="A:B", help="Of a dataset: from A to before B.")
-@click.option("--jobs", "workers", type=click.IntRange(min=1), default=1, show_default=True, help="Episodes at a time.")
+@click.option("-o", "--output", "out", type=options.PageOrFolder(), metavar="OUT", help=_OUT)
+@click.option(
+    "--csv",
+    "table",
+    type=OUT,
+    metavar="FILE",
+    help="Of a dataset: a row per episode, .csv or .parquet.",
+)
+@click.option(
+    "--episodes", callback=_episode_range, metavar="A:B", help="Of a dataset: from A to before B."
+)
+@click.option(
+    "--jobs",
+    "workers",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Episodes at a time.",
+)
 @click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, tcp://HOST:PORT, or local.")
-@click.option("--shard", metavar="I/N", default="1/1", show_default=True, help="Every N-th episode, from the I-th.")
-@click.option("--resume", is_flag=True, help="Skip what an earlier run did with the same input, settings and version.")
+@click.option(
+    "--shard",
+    metavar="I/N",
+    default="1/1",
+    show_default=True,
+    help="Every N-th episode, from the I-th.",
+)
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Skip what an earlier run did with the same input, settings and version.",
+)
 @options.fail_option
 @delay_option
 @common_options
 def doctor(
-    logs: tuple[Path, ...], repair: Path | None, body: Path | None, urdf: str | None, common: Common, as_json: bool,
-    **typed: Any,
+    logs: tuple[Path, ...], repair: Path | None, body: Path | None, urdf: str | None,
+    common: Common, as_json: bool, **typed: Any,
 ) -> int:  # fmt: skip
     """Find what is wrong with a log, and repair it; or whether a dataset is fit to learn from.
 
     It measures the delay of images relative to the joints in the middle minute of the log; --delay off skips this.
 
-    LOG may be a dataset, or a folder of logs: then each episode is examined and compared with the others.
+    LOG may be a dataset, or a folder of logs: then each episode is examined and compared with the
+    others.
     """
     from bodylog.batch.dataset import is_dataset
 
@@ -67,16 +99,21 @@ def doctor(
 def _refuse_of_one_log(typed: dict[str, Any]) -> None:
     """UsageError for an option that a single log does not have."""
     given = {
-        "-o": typed["out"], "--csv": typed["table"], "--episodes": typed["episodes"], "--resume": typed["resume"],
-        "--scheduler": typed["scheduler"], "--fail-if": typed["bounds"], "--shard": typed["shard"] != "1/1",
+        "-o": typed["out"], "--csv": typed["table"], "--episodes": typed["episodes"],
+        "--resume": typed["resume"], "--scheduler": typed["scheduler"],
+        "--fail-if": typed["bounds"], "--shard": typed["shard"] != "1/1",
         "--jobs": typed["workers"] > 1,
     }  # fmt: skip
     for option, value in given.items():
         if value:
-            raise click.UsageError(f"{option} is for a dataset or a folder of logs, without --repair and --body")
+            raise click.UsageError(
+                f"{option} is for a dataset or a folder of logs, without --repair and --body"
+            )
 
 
-def _examine_logs(logs: tuple[Path, ...], repair: Path | None, body: Path | None, settings: Any, as_json: bool) -> int:
+def _examine_logs(
+    logs: tuple[Path, ...], repair: Path | None, body: Path | None, settings: Any, as_json: bool
+) -> int:
     from bodylog import pipeline
 
     from .output import each, entry, line, lost, print_json, progress
@@ -90,7 +127,8 @@ def _examine_logs(logs: tuple[Path, ...], repair: Path | None, body: Path | None
     else:
         for path, result in results.items():
             count = sum(finding.severity != "info" for finding in result.findings)
-            line(f"{path}: {'sound' if not count else '1 finding' if count == 1 else f'{count} findings'}")
+            said = "1 finding" if count == 1 else f"{count} findings"
+            line(f"{path}: {said if count else 'sound'}")
             for finding in result.findings:
                 line(f"  {finding.severity}: {finding.text}")
     return code or max(lost(result.findings) for result in results.values())
@@ -106,17 +144,25 @@ def _examine_dataset(
     from .output import print_json, verbosity
 
     out: Path | None = typed["out"]
-    folder = out is not None and out.suffix.lower() not in (".html", ".htm")
+    folder = out is not None and not options.PageOrFolder.is_page(out)
     if not folder and (typed["resume"] or typed["scheduler"] or typed["shard"] != "1/1"):
-        raise click.UsageError("--resume, --shard and --scheduler need a folder for the rows; type: -o DIR")
+        raise click.UsageError(
+            "--resume, --shard and --scheduler need a folder for the rows; type: -o DIR"
+        )
     begin, end = typed["episodes"] or (None, None)
     chosen = dataset.chosen_episodes(logs, begin, end)
     group = Group("", chosen, settings, bounds=typed["bounds"], task=EXAMINE)
     read = () if common.config_file is None else (common.config_file,)
     plan = Plan(
-        (group,), out if folder and out is not None else Path(), typed["workers"], shard_of(typed["shard"]),
-        typed["resume"], True, None, typed["scheduler"], read,
-    )  # fmt: skip
+        groups=(group,),
+        out=out if folder and out is not None else Path(),
+        workers=typed["workers"],
+        shard=shard_of(typed["shard"]),
+        resume=typed["resume"],
+        keep_going=True,
+        scheduler=typed["scheduler"],
+        inputs=read,
+    )
     run = dataset.examine if folder else dataset.examine_without_folder
     found = run(plan, print_row, None if folder else out, typed["table"])
     if as_json:
@@ -138,7 +184,9 @@ def _print_verdict(found: "Examined") -> None:
         line(f"bodylog: {found.whole['error']}", err=True)
     odd = {one["text"] for one in found.whole["outliers"]}
     for row in found.rows:
-        texts = [text for severity, text in row["findings"] if severity != "info" and text not in odd]
+        texts = [
+            text for severity, text in row["findings"] if severity != "info" and text not in odd
+        ]
         why = f": {row['error'].strip().splitlines()[-1]}" if row["error"] else ""
         line(f"{row['exit_code']:>3}  {row['name']}  {row['status']}{why}")
         for text in texts if verbosity() > 0 else ():
@@ -146,7 +194,8 @@ def _print_verdict(found: "Examined") -> None:
 
 
 def _entry(row: "Row", source: str | None = None) -> dict[str, Any]:
-    """A row as one of the envelope's results; its name, status, exit code and error stand beside."""
+    """A row as one of the envelope's results; its name, status, exit code and error stand
+    beside."""
     from bodylog.score_names import unit
 
     scores = {

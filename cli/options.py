@@ -93,6 +93,15 @@ class Folder(Named):
         return path
 
 
+class PageOrFolder(OutputLog):
+    """A page to write (.html), or a folder for it and further files."""
+
+    @staticmethod
+    def is_page(path: Path) -> bool:
+        """Whether the path names a page."""
+        return path.suffix.lower() in (".html", ".htm")
+
+
 def _cannot_be_made(why: str) -> Exception:
     from bodylog.errors import OutputError
 

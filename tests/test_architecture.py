@@ -52,6 +52,7 @@ LAYERS = (
     {"surface_body"},
     {"pipeline"},
     {"compare", "views"},
+    {"dataset"},
     {"batch", "experiments"},
 )  # fmt: skip
 STAGES = {"annotating", "body", "estimation", "evaluation", "logs", "perception", "recording", "report", "sim"}

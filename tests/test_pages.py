@@ -31,6 +31,7 @@ NOT_RUN = {
     r"https?://|s3://": "no network: tests/test_remote.py reads logs behind URLs",
     r"bodylog reproduce": "takes minutes: tests/experiments runs it with few seeds",
     r"bodylog view \S+$": "opens a window",
+    r"bodylog doctor DATASET": "tests/dataset runs it on drawn datasets",
     r"bodylog compare": "takes seconds: the test of README's figures below and docs/tutorial.md run it",
     r"--duration 40": "takes a minute: docs/tutorial.md records a shorter log",
     **({} if find_spec("rerun") else {r"bodylog view": "Rerun is not installed"}),

@@ -48,7 +48,8 @@ class Plan:
 
 
 def batch(plan: Plan, report: Report | None = None) -> list[Row]:
-    """One row per log of this shard, in name order; plan.out gets results.jsonl, junit.xml and a page.
+    """One row per log of this shard, in name order; plan.out gets results.jsonl, junit.xml and a
+    page.
 
     Shards that share plan.out together leave the same files as one run over all logs.
     """
@@ -137,10 +138,8 @@ def _jobs(plan: Plan, group: Group, found: Mapping[str, str], before: str) -> li
     folder = folders.mark(plan.out / group.name, folders.BATCH)
     body = _body(group, folder)
     how = resume.how(body, group.settings, group.bounds, group.task)
-    return [
-        Job(before + name, log, folder / name, body, group.settings, group.bounds, plan.resume, how, group.task)
-        for name, log in found.items()
-    ]
+    common = (body, group.settings, group.bounds, plan.resume, how, group.task)
+    return [Job(before + name, log, folder / name, *common) for name, log in found.items()]
 
 
 def _run(plan: Plan, open_jobs: Sequence[Job]) -> Iterator[Row]:

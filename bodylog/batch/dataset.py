@@ -1,4 +1,5 @@
-"""Datasets and folders of logs for `doctor`: what is one, which of its episodes are examined, and its results."""
+"""Datasets and folders of logs for `doctor`: what is one, which of its episodes are examined, and
+its results."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +27,8 @@ class Examined:
 
 
 def is_dataset(log: Path | str) -> bool:
-    """Whether a path holds several logs: a dataset's folder, a folder of logs, or a file of several episodes."""
+    """Whether a path holds several logs: a dataset's folder, a folder of logs, or a file of several
+    episodes."""
     from ..logs.datasets import kinds
 
     if not isinstance(log, Path) or episodes.split(log)[1] is not None or not log.exists():
@@ -36,7 +38,9 @@ def is_dataset(log: Path | str) -> bool:
     return len(kinds.numbers(log)) > 1
 
 
-def chosen_episodes(logs: Sequence[Path | str], begin: int | None, end: int | None) -> tuple[str, ...]:
+def chosen_episodes(
+    logs: Sequence[Path | str], begin: int | None, end: int | None
+) -> tuple[str, ...]:
     """The logs in a dataset, in order; of numbered episodes those from `begin` to before `end`."""
     found = [log for given in logs for log in jobs.find(str(given))]
     numbers = [None if remote.is_url(log) else episodes.split(Path(log))[1] for log in found]
@@ -46,11 +50,15 @@ def chosen_episodes(logs: Sequence[Path | str], begin: int | None, end: int | No
         return tuple(found[begin:end])
     low, high = begin or 0, float("inf") if end is None else end
     chosen = tuple(
-        log for log, number in zip(found, numbers, strict=True) if number is not None and low <= number < high
+        log
+        for log, number in zip(found, numbers, strict=True)
+        if number is not None and low <= number < high
     )
     if not chosen:
         there = [number for number in numbers if number is not None]
-        raise UsageError(f"--episodes: none of them is there; possible: {min(there)} to {max(there)}")
+        raise UsageError(
+            f"--episodes: none of them is there; possible: {min(there)} to {max(there)}"
+        )
     return chosen
 
 
@@ -58,7 +66,11 @@ def examine(plan: Plan, report: Report | None, page: Path | None, table: Path | 
     """Examine all episodes of a plan; `page` and `table` are files to write beside plan.out."""
     from ..dataset import outputs
 
-    files = [Output(path, option) for path, option in ((page, "-o"), (table, "--csv")) if path is not None]
+    files = [
+        Output(path, option)
+        for path, option in ((page, "-o"), (table, "--csv"))
+        if path is not None
+    ]
     bases = [Path(log) for group in plan.groups for log in group.logs if not remote.is_url(log)]
     guard([*plan.inputs, *bases], files)
     rows = batch(plan, report)
@@ -73,7 +85,9 @@ def examine(plan: Plan, report: Report | None, page: Path | None, table: Path | 
     return Examined(tuple(rows), whole, exit_code([*rows, whole]))
 
 
-def examine_without_folder(plan: Plan, report: Report | None, page: Path | None, table: Path | None) -> Examined:
+def examine_without_folder(
+    plan: Plan, report: Report | None, page: Path | None, table: Path | None
+) -> Examined:
     """As `examine`; the rows' folder is temporary."""
     with scratch() as folder:
         return examine(replace(plan, out=folder / "rows"), report, page, table)
@@ -89,4 +103,6 @@ def _require_measured(plan: Plan, rows: Sequence[Row], whole: dict[str, Any]) ->
         bound = score_bounds.parse(text)
         if not score_bounds.measured(figures, [bound]):
             possible = ", ".join(sorted({name.partition("/")[0] for name in names}))
-            raise UsageError(f"--fail-if {text!r}: no episode has this score; measured were {possible}")
+            raise UsageError(
+                f"--fail-if {text!r}: no episode has this score; measured were {possible}"
+            )

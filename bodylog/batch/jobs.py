@@ -36,8 +36,8 @@ SUFFIXES = (
 class Job:
     """One log, its results' folder, and whether to keep an earlier run's results.
 
-    `task` is what is done with the log, a name of work.TASKS. `how` is a digest of everything but the log that the
-    results depend on.
+    `task` is what is done with the log, a name of work.TASKS. `how` is a digest of everything but
+    the log that the results depend on.
     """
 
     name: str

@@ -39,7 +39,8 @@ class Journal:
             self._seen = self._state()
 
     def finish(self) -> list[Row]:
-        """All three files, whole, in name order; again where another shard ended meanwhile, as without locks it can.
+        """All three files, whole, in name order; again where another shard ended meanwhile, as
+        without locks it can.
 
         Returns the rows as written.
         """
@@ -87,7 +88,11 @@ def line(row: Row) -> str:
 
 def write(out: Path, rows: Sequence[Row]) -> None:
     """All three files, whole, rows in the order given."""
-    texts = {"results.jsonl": "".join(map(line, rows)), "junit.xml": junit(rows), "summary.html": summary(rows)}
+    texts = {
+        "results.jsonl": "".join(map(line, rows)),
+        "junit.xml": junit(rows),
+        "summary.html": summary(rows),
+    }
     for name, text in texts.items():
         _leave(out / name, text)
 

@@ -39,7 +39,9 @@ def how(body: Path | None, settings: Settings, bounds: Sequence[str], task: str 
     return _digest(_conditions(body, settings, bounds, task))
 
 
-def _conditions(body: Path | None, settings: Settings, bounds: Sequence[str], task: str) -> list[Any]:
+def _conditions(
+    body: Path | None, settings: Settings, bounds: Sequence[str], task: str
+) -> list[Any]:
     model = None if body is None else sha256(body)
     # results of earlier versions, which knew one task, stay valid
     tasks = [] if task == ESTIMATE else [task]

@@ -115,7 +115,8 @@ def _estimate(job: Job) -> dict[str, Any]:
 
 
 def _examine(job: Job) -> dict[str, Any]:
-    """Keywords of `_row`, for an episode examined beside its siblings; its evidence is left for their comparison."""
+    """Keywords of `_row`, for an episode examined beside its siblings; its evidence is left for
+    their comparison."""
     from ..dataset import examination
 
     with remote.local(job.log, job.folder, job.settings.input.max_wait_s) as log:

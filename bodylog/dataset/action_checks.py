@@ -1,4 +1,5 @@
-"""State against action: how late the joints follow what was asked of them, and by how far they miss it."""
+"""State against action: how late the joints follow what was asked of them, and by how far they miss
+it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,18 +19,21 @@ STEPS_PER_ROW = 4
 BLOCKS = 8
 """Blocks of time that are left out in turn, for the standard error."""
 LEAST_CORRELATION = 0.7
-"""Correlation of the steps of state and action at the best delay from which a joint counts as following."""
+"""Correlation of the steps of state and action at the best delay from which a joint counts as
+following."""
 LEAST_ROWS = 60
 """Fewest rows within the searched delays."""
 SWAPPED_CORRELATION = 0.85
-"""Correlation with another joint's action, on both sides, from which two joints are called swapped."""
+"""Correlation with another joint's action, on both sides, from which two joints are called
+swapped."""
 OWN_CORRELATION = 0.5
 """Correlation with the own action below which they are."""
 
 
 @dataclass(frozen=True, eq=False)
 class Following:
-    """How joints follow their actions: names (K,), delay_s (K,) and std_s (K,) (s), correlation (K,)."""
+    """How joints follow their actions: names (K,), delay_s (K,) and std_s (K,) (s), correlation
+    (K,)."""
 
     names: tuple[str, ...]
     delay_s: Array
@@ -40,7 +44,9 @@ class Following:
 def measure_action_delay(reading: EpisodeReading) -> Iterator[Measurement]:
     """Delay of the state behind the action (s), over the joints that follow it."""
     found = follow_actions(reading)
-    follows = found is not None and (found.correlation >= LEAST_CORRELATION) & np.isfinite(found.std_s)
+    follows = found is not None and (found.correlation >= LEAST_CORRELATION) & np.isfinite(
+        found.std_s
+    )
     if found is None or not np.any(follows):
         return
     pooled = pool(found.delay_s[follows], found.std_s[follows])
@@ -48,7 +54,8 @@ def measure_action_delay(reading: EpisodeReading) -> Iterator[Measurement]:
 
 
 def measure_action_error(reading: EpisodeReading) -> Iterator[Measurement]:
-    """Root mean square of state minus the action that it follows, over joints, in the joints' unit."""
+    """Root mean square of state minus the action that it follows, over joints, in the joints'
+    unit."""
     found = follow_actions(reading)
     if found is None or reading.joints is None or reading.action is None:
         return
@@ -83,11 +90,13 @@ def measure_swapped_joints(reading: EpisodeReading) -> Iterator[Measurement]:
 
 
 def _correlations(states: Array, wanted: Array) -> Array:
-    """Correlations (K,K) of steps of states (N,K) with steps of actions (N,K); 0 where either rests."""
+    """Correlations (K,K) of steps of states (N,K) with steps of actions (N,K); 0 where either
+    rests."""
     states = states - states.mean(axis=0)
     wanted = wanted - wanted.mean(axis=0)
     scale = np.outer(np.linalg.norm(states, axis=0), np.linalg.norm(wanted, axis=0))
-    return np.divide(states.T @ wanted, scale, out=np.zeros_like(scale), where=scale > 0.0)
+    products = states.T @ wanted
+    return np.asarray(np.divide(products, scale, out=np.zeros_like(scale), where=scale > 0.0))
 
 
 def follow_actions(reading: EpisodeReading) -> Following | None:

@@ -38,26 +38,27 @@ def measure_delays(reading: EpisodeReading) -> Iterator[Measurement]:
         way = "late" if delay.seconds > 0.0 else "early"
         size = f"{1e3 * abs(delay.seconds):.0f} ± {1e3 * delay.std_error:.0f} ms"
         text = f"{name}: images are {size} {way} against the joints" if late else ""
-        yield Measurement(name, delay.seconds, delay.std_error, text)
+        yield Measurement(name, delay.seconds, delay.std_error, text, "warning", found.shared_std_s)
 
 
 def measure_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
     """Share of frames that repeat their predecessor, among those of which that can be told."""
     for name, seen in _seen(reading):
         share = seen.repeats.share
-        if share is None:
+        if share is None or np.median(seen.brightness) < BLACK_GREY:
             continue
         stored, distinct = seen.repeats.stored_hz, seen.repeats.distinct_hz
         text = ""
         if share >= REPEATED_SHARE and stored is not None and distinct is not None:
-            text = f"{name}: {stored:.3g} Hz, of which {distinct:.3g} distinct: {100.0 * share:.0f} % repeat"
+            rates = f"{stored:.3g} Hz, of which {distinct:.3g} distinct"
+            text = f"{name}: {rates}: {100.0 * share:.0f} % repeat"
         yield Measurement(name, share, None, text)
 
 
 def measure_rates(reading: EpisodeReading) -> Iterator[Measurement]:
     """Rate of distinct frames (Hz)."""
     for name, seen in _seen(reading):
-        if seen.repeats.distinct_hz is not None:
+        if seen.repeats.distinct_hz is not None and np.median(seen.brightness) >= BLACK_GREY:
             yield Measurement(name, seen.repeats.distinct_hz)
 
 
@@ -77,7 +78,9 @@ def measure_dropped_frames(reading: EpisodeReading) -> Iterator[Measurement]:
 def measure_frozen_images(reading: EpisodeReading) -> Iterator[Measurement]:
     """Share of images in stretches that stay the same while joints move."""
     for name, seen in _seen(reading):
-        same = np.append((seen.block_change < SAME_GREY)[1:], False) & (seen.brightness >= BLACK_GREY)
+        same = np.append((seen.block_change < SAME_GREY)[1:], False) & (
+            seen.brightness >= BLACK_GREY
+        )
         yield _share_of_runs(name, seen, same, reading, "frozen while joints move")
 
 
@@ -116,21 +119,15 @@ def measure_brightness(reading: EpisodeReading) -> Iterator[Measurement]:
 
 
 def measure_missing_images(reading: EpisodeReading) -> Iterator[Measurement]:
-    """Share of a camera's images that cannot be decoded; nothing of an episode that is seen in part."""
-    roles = reading.read.roles
+    """Share of a camera's images that cannot be decoded."""
     for name, film in reading.films.items():
-        topic = roles.get("camera" if name == "camera" else f"camera/{name}", roles.get("camera", ""))
-        health = reading.read.health.get(topic)
-        seen = 0 if film.seen is None else len(film.seen.brightness)
-        if health is None or reading.read.duration_s > LONGEST_WHOLE_S or seen >= health.used:
-            continue
-        count = health.used - seen
-        text = f"{name}: {count} of {health.used} images cannot be read"
-        yield Measurement(name, count / health.used, None, text, "lost")
-
-
-LONGEST_WHOLE_S = 60.0
-"""s: images of longer episodes are seen in part."""
+        if film.count:
+            text = (
+                f"{name}: {film.unreadable} of {film.count} images cannot be read"
+                if film.unreadable
+                else ""
+            )
+            yield Measurement(name, film.unreadable / film.count, None, text, "lost")
 
 
 def _seen(reading: EpisodeReading) -> Iterator[tuple[str, GridFlow]]:
@@ -142,13 +139,16 @@ def _seen(reading: EpisodeReading) -> Iterator[tuple[str, GridFlow]]:
 def _share_of_runs(
     name: str, seen: GridFlow, which: Array, reading: EpisodeReading | None, what: str
 ) -> Measurement:
-    """Share of images in long runs; with a `reading`, of those runs alone in which its joints move."""
+    """Share of images in long runs; with a `reading`, of those runs alone in which its joints
+    move."""
     t = seen.repeats.t
     ns = np.rint(t * 1e9).astype(np.int64).tolist()
     runs = list(long_runs(which, ns))
     if reading is not None and reading.joints is not None:
         joints = reading.joints
-        runs = [run for run in runs if moves_between(joints.values, joints.t, t[run[0]], t[run[1] - 1])]
+        runs = [
+            run for run in runs if moves_between(joints.values, joints.t, t[run[0]], t[run[1] - 1])
+        ]
     count = sum(end - first for first, end in runs)
     if not count:
         return Measurement(name, 0.0)

@@ -1,4 +1,5 @@
-"""One episode examined: its scores and findings, and the evidence by which it is judged beside its siblings."""
+"""One episode examined: its scores and findings, and the evidence by which it is judged beside its
+siblings."""
 
 import base64
 import hashlib
@@ -23,7 +24,8 @@ _QUALITY = 75
 
 
 def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, dict[str, Any]]:
-    """All checks of one episode: the result for people, and the evidence as plain values (see `evidence`).
+    """All checks of one episode: the result for people, and the evidence as plain values (see
+    `evidence`).
 
     `name`: what texts call the log. InputError where it cannot be used.
     """
@@ -37,7 +39,8 @@ def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, d
                 findings.append(Finding(one.severity, f"{log}: {one.text}"))
             if not isfinite(one.value):
                 continue
-            figures[figure] = [one.value, one.std]
+            at = one.at if isfinite(one.at) else None
+            figures[figure] = [one.value, one.std, one.shared_std, at]
             if check.public:
                 scores.append(Score(figure, one.value, check.unit, one.std))
                 if one.std is not None:
@@ -62,7 +65,7 @@ def _add_surface(
     values = {one.name: one.value for one in found.scores}
     for name, value in values.items():
         if name.startswith("delay/"):
-            figures[name] = [value, values.get(f"std/{name}")]
+            figures[name] = [value, values.get(f"std/{name}"), 0.0, None]
 
 
 def _says_only_roles(finding: Finding) -> bool:
@@ -73,12 +76,13 @@ def _says_only_roles(finding: Finding) -> bool:
 def evidence(reading: EpisodeReading, figures: Mapping[str, list[float | None]]) -> dict[str, Any]:
     """What the comparison with siblings and the page need, as plain values.
 
-    figures {name: [value, standard error or null]} · joints: names, unit, t and curves of few points · action: curves
-    of the same joints · cameras {name: thumbnails (JPEG, base64), size, stored_hz, black} · statistics {feature:
-    count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
+    figures {name: [value, standard error or null, the part of it that siblings share, the joint
+    reading that it is about or null]} · joints: names, unit, low and high, t and curves of few
+    points · action: the same · cameras {name: thumbnails (JPEG, base64), size, stored_hz} ·
+    statistics {feature: count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
     """
     return {
-        "figures": {name: list(pair) for name, pair in sorted(figures.items())},
+        "figures": dict(sorted(figures.items())),
         "joints": None if reading.joints is None else _curves(reading.joints),
         "action": None if reading.action is None else _curves(reading.action),
         "cameras": {name: _camera(film.seen) for name, film in reading.films.items()},
@@ -90,12 +94,14 @@ def evidence(reading: EpisodeReading, figures: Mapping[str, list[float | None]])
 
 
 def _curves(stored: Stored) -> dict[str, Any]:
-    if not len(stored.t):
-        return {"names": list(stored.names), "unit": stored.unit, "t": [], "curves": []}
+    if not np.isfinite(stored.values).any(axis=0).all() or not len(stored.t):
+        return {"names": [], "unit": stored.unit, "low": [], "high": [], "t": [], "curves": []}
     rows = np.unique(np.linspace(0, len(stored.t) - 1, CURVE_POINTS).round().astype(int))
     return {
         "names": list(stored.names),
         "unit": stored.unit,
+        "low": _plain(np.nanmin(stored.values, axis=0)),
+        "high": _plain(np.nanmax(stored.values, axis=0)),
         "t": _plain(stored.t[rows]),
         "curves": [_plain(column) for column in stored.values[rows].T],
     }

@@ -40,7 +40,9 @@ def _statistics(known: Any, names: Mapping[int, str], evidence: Mapping[str, Any
     from ..logs.datasets.statistics import together
 
     each, whole = stored_statistics(known)
-    found = {number: evidence[name]["statistics"] for number, name in names.items() if name in evidence}
+    found = {
+        number: evidence[name]["statistics"] for number, name in names.items() if name in evidence
+    }
     wrong = [
         f"{feature} of episode {number}"
         for number, own in sorted(found.items())
@@ -55,8 +57,13 @@ def _statistics(known: Any, names: Mapping[int, str], evidence: Mapping[str, Any
     joined = together([{name: own[name] for name in features} for own in found.values()])
     complete = len(found) == len(known.rows)
     stale = [
-        name for name in features
-        if _disagree(joined[name], _mapping(whole.get(name)), ("min", "max", "mean", "std") if complete else ())
+        name
+        for name in features
+        if _disagree(
+            joined[name],
+            _mapping(whole.get(name)),
+            ("min", "max", "mean", "std") if complete else (),
+        )
         or _beyond(joined[name], _mapping(whole.get(name)))
     ]
     if stale:
@@ -64,7 +71,9 @@ def _statistics(known: Any, names: Mapping[int, str], evidence: Mapping[str, Any
 
 
 def _disagree(
-    own: Mapping[str, Any], stored: Mapping[str, Any], figures: Sequence[str] = ("min", "max", "mean", "std")
+    own: Mapping[str, Any],
+    stored: Mapping[str, Any],
+    figures: Sequence[str] = ("min", "max", "mean", "std"),
 ) -> bool:
     """Whether a stored statistic differs from its own by more than rounding."""
     pairs = [(own[name], stored[name]) for name in figures if name in stored]
@@ -85,7 +94,10 @@ def _beyond(own: Mapping[str, Any], stored: Mapping[str, Any]) -> bool:
     low, high = (_numbers(stored.get(side)) for side in ("min", "max"))
     if low is None or high is None or low.shape != scale.shape or high.shape != scale.shape:
         return False
-    return bool((np.asarray(own["min"]) < low - scale).any() or (np.asarray(own["max"]) > high + scale).any())
+    return bool(
+        (np.asarray(own["min"]) < low - scale).any()
+        or (np.asarray(own["max"]) > high + scale).any()
+    )
 
 
 def _span(own: Mapping[str, Any]) -> Array:

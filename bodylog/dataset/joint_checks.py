@@ -12,13 +12,16 @@ from .records import Measurement
 SHORTEST_STUCK_S = 1.0
 """s: shorter repeats while the action moves are a joint that follows late."""
 ACTION_SHARE = 0.25
-"""Share of its range that an action crosses while its joint repeats one reading, for the joint to count as stuck."""
+"""Share of its range that an action crosses while its joint repeats one reading, for the joint to
+count as stuck."""
 EDGE_SHARE = 0.02
-"""Distance from an end of its range, as a share of it, within which a joint may rest against a stop."""
+"""Distance from an end of its range, as a share of it, within which a joint may rest against a
+stop."""
 LEAST_CLIPPED_READINGS = 3
 """Equal readings at an end of a joint's range: fewer are a reversal."""
 ABRUPT_SHARE = 0.25
-"""Step into or out of a stretch at the range's end, over the joint's largest step: a motion that slows down has less."""
+"""Step into or out of a stretch at the range's end, over the joint's largest: a motion that slows
+down has less."""
 CLIPPED_SHARE = 0.05
 """Share of clipped readings that is reported."""
 IDLE_SPEED_HZ = 0.02
@@ -40,12 +43,15 @@ def measure_rows(reading: EpisodeReading) -> Iterator[Measurement]:
     if joints is None or not joints.values.size:
         return
     count = int((~np.isfinite(joints.values)).sum())
-    text = f"joints: {count} of {joints.values.size} readings are not finite numbers" if count else ""
+    text = (
+        f"joints: {count} of {joints.values.size} readings are not finite numbers" if count else ""
+    )
     yield Measurement("joints", count / joints.values.size, None, text)
 
 
 def measure_stamp_jitter(reading: EpisodeReading) -> Iterator[Measurement]:
-    """Standard deviation of the intervals between stamps (s): 0 where stamps are row numbers over the rate."""
+    """Standard deviation of the intervals between stamps (s): 0 where stamps are row numbers over
+    the rate."""
     if reading.joints is not None and len(reading.joints.t) > 2:
         yield Measurement("joints", _jitter(reading.joints.t))
     for name, film in reading.films.items():
@@ -54,7 +60,8 @@ def measure_stamp_jitter(reading: EpisodeReading) -> Iterator[Measurement]:
 
 
 def _jitter(t: Array) -> float:
-    """Standard deviation of intervals (s); 0 where all are alike to a microsecond, the rounding of stored stamps."""
+    """Standard deviation of intervals (s); 0 where all are alike to a microsecond, the rounding of
+    stored stamps."""
     std_s = float(np.diff(t).std())
     return std_s if std_s > 1e-6 else 0.0
 
@@ -75,7 +82,8 @@ def measure_idle_share(reading: EpisodeReading) -> Iterator[Measurement]:
 
 
 def measure_longest_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
-    """Longest time (s) that a joint repeats one reading while others move; nothing of joints that never move."""
+    """Longest time (s) that a joint repeats one reading while others move; nothing of joints that
+    never move."""
     joints = reading.joints
     if joints is None or joints.step_s <= 0.0:
         return
@@ -91,7 +99,8 @@ def measure_longest_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
             continue
         first, last = max(runs, key=lambda run: run[1] - run[0])
         lasting_s = float(joints.t[last] - joints.t[first])
-        yield Measurement(name, lasting_s, None, _stuck_text(reading, number, first, last))
+        text = _stuck_text(reading, number, first, last)
+        yield Measurement(name, lasting_s, None, text, at=float(y[first]))
 
 
 def _moving_rows(joints: Stored) -> Array:
@@ -99,7 +108,7 @@ def _moving_rows(joints: Stored) -> Array:
     ranges = value_ranges(joints.values)
     known = ranges > 0.0
     steps = np.abs(np.diff(joints.values[:, known], axis=0)) / ranges[known] / joints.step_s
-    moving = (np.nan_to_num(steps) > IDLE_SPEED_HZ).any(axis=1)
+    moving = np.asarray((np.nan_to_num(steps) > IDLE_SPEED_HZ).any(axis=1))
     return np.append(moving, moving[-1:])
 
 
@@ -118,7 +127,8 @@ def _stuck_text(reading: EpisodeReading, number: int, first: int, last: int) -> 
     if not inside or crossed < ACTION_SHARE * float(np.ptp(wanted)):
         return ""
     when = f"from {joints.t[first]:.2f} to {joints.t[last]:.2f} s"
-    return f"{joints.names[number]}: repeats {y[first]:.4g} {when} while its action moves by {crossed:.3g}"
+    text = f"{joints.names[number]}: repeats {y[first]:.4g} {when}"
+    return f"{text} while its action moves by {crossed:.3g}"
 
 
 def equal_runs(y: Array) -> list[tuple[int, int]]:
@@ -128,7 +138,8 @@ def equal_runs(y: Array) -> list[tuple[int, int]]:
 
 
 def measure_clipped_joints(reading: EpisodeReading) -> Iterator[Measurement]:
-    """Share of readings in stretches at exactly an end of a joint's range that it enters or leaves abruptly."""
+    """Share of readings in stretches at exactly an end of a joint's range that it enters or leaves
+    abruptly."""
     joints = reading.joints
     if joints is None:
         return
@@ -137,21 +148,25 @@ def measure_clipped_joints(reading: EpisodeReading) -> Iterator[Measurement]:
             continue
         steps = np.abs(np.diff(y))
         abrupt = ABRUPT_SHARE * float(steps.max())
-        count = 0
+        at_ends: dict[float, int] = {}
         for first, last in equal_runs(y):
             at_end = y[first] in (y.min(), y.max()) and last - first + 1 >= LEAST_CLIPPED_READINGS
             beside = max(
-                steps[first - 1] if first > 0 else 0.0,
-                steps[last] if last < len(steps) else 0.0,
+                steps[first - 1] if first > 0 else 0.0, steps[last] if last < len(steps) else 0.0
             )
-            count += (last - first + 1) * bool(at_end and beside >= abrupt)
-        share = count / len(y)
-        text = f"{name}: {100.0 * share:.0f} % of readings are exactly at an end of its range: a stop, or clipped"
-        yield Measurement(name, share, None, text if share >= CLIPPED_SHARE else "", "info")
+            if at_end and beside >= abrupt:
+                at_ends[float(y[first])] = at_ends.get(float(y[first]), 0) + last - first + 1
+        share = sum(at_ends.values()) / len(y)
+        most = max(at_ends, key=lambda value: at_ends[value], default=float("nan"))
+        where = "exactly at an end of its range: a stop, or clipped"
+        text = f"{name}: {100.0 * share:.0f} % of readings are {where}"
+        text = text if share >= CLIPPED_SHARE else ""
+        yield Measurement(name, share, None, text, "info", at=most)
 
 
 def measure_jumps(reading: EpisodeReading) -> Iterator[Measurement]:
-    """Shifts in the level of a joint's readings that are faster than any joint moves; of joints in rad."""
+    """Shifts in the level of a joint's readings that are faster than any joint moves; of joints in
+    rad."""
     from ..estimation.faults.jumping import jumps
 
     joints = reading.read.joints
@@ -179,7 +194,9 @@ def measure_still_joints(reading: EpisodeReading) -> Iterator[Measurement]:
 def measure_starts(reading: EpisodeReading) -> Iterator[Measurement]:
     """The posture of the first row, in the joints' unit."""
     if reading.joints is not None and len(reading.joints.values):
-        for name, value in zip(reading.joints.names, reading.joints.values[0].tolist(), strict=True):
+        for name, value in zip(
+            reading.joints.names, reading.joints.values[0].tolist(), strict=True
+        ):
             yield Measurement(name, value)
 
 
@@ -198,7 +215,8 @@ def measure_sizes(reading: EpisodeReading) -> Iterator[Measurement]:
 
 
 def measure_row_counts(reading: EpisodeReading) -> Iterator[Measurement]:
-    """Rows that the dataset lists but the table does not hold, as a share; the reader says so in words."""
+    """Rows that the dataset lists but the table does not hold, as a share; the reader says so in
+    words."""
     if reading.declared_rows:
         yield Measurement("", abs(reading.rows - reading.declared_rows) / reading.declared_rows)
 

@@ -1,4 +1,5 @@
-"""A dataset judged: episodes that stand out from their siblings, and a verdict in a few sentences."""
+"""A dataset judged: episodes that stand out from their siblings, and a verdict in a few
+sentences."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,37 +11,60 @@ import numpy as np
 from ..types import Array, Score
 from ..wording import listed
 from .checks import BY_NAME, Check
-from .siblings import Outlier, find_outliers, pool, without_nan
+from .siblings import Outlier, find_outliers, own_std, pool
 
 Row = dict[str, Any]
 Evidence = Mapping[str, Any]
 """An episode's evidence (see examination.evidence)."""
 UNIT_RATIO = 3.0
-"""Factor between the sizes of an episode's joints and its siblings' from which their unit is another."""
+"""Factor between the sizes of an episode's joints and its siblings' from which their unit is
+another."""
 UNIT_AGREEMENT = 0.35
 """Largest difference of that factor's logarithm between joints."""
 DEGREES_PER_RAD = 57.29578
 SWAP_SHARE = 0.5
 """Distance of a swapped joint from the other's siblings, over its distance from its own."""
 SIGNIFICANT_SIGMA = 2.0
-STALE_STATISTICS = 0.02
-"""Error of a stored statistic that is reported, over the feature's range."""
+STOP_SHARE = 0.02
+"""Distance from an end of what a joint reads in all episodes, over its range, within which it is at
+a stop."""
+_UNMEASURED = (float("nan"), None, 0.0, None)
+REPORTED_SHARE = 0.05
+"""Share of a camera's images from which the verdict names what is wrong with them."""
 
 
 @dataclass(frozen=True)
 class StandsOut:
-    """An episode that stands out from its siblings: its name, what in, and the sentence about it."""
+    """An episode that stands out from its siblings: its name, what in, and the sentence about
+    it."""
 
     episode: str
     figures: tuple[str, ...]
     z: float
     text: str
+    accused: bool = True
+
+
+@dataclass(frozen=True)
+class PooledDelay:
+    """A delay over episodes (s): mean, the standard error that more episodes would reduce, the one
+    that they share, and the jitter between episodes that their own errors do not explain."""
+
+    mean: float
+    own_std: float
+    shared_std: float
+    jitter: float
+
+    @property
+    def std(self) -> float:
+        """Standard error of the mean."""
+        return float(np.hypot(self.own_std, self.shared_std))
 
 
 @dataclass(frozen=True, eq=False)
 class DatasetJudgement:
-    """rows, each with what its siblings say of it · evidence {row's name: Evidence} · verdict in sentences · scores of
-    the whole, their standard errors beside · outliers, the farthest first."""
+    """rows, each with what its siblings say of it · evidence {row's name: Evidence} · verdict in
+    sentences · scores of the whole, their standard errors beside · outliers, the farthest first."""
 
     rows: list[Row]
     evidence: Mapping[str, Evidence]
@@ -48,39 +72,70 @@ class DatasetJudgement:
     scores: tuple[Score, ...]
     outliers: tuple[StandsOut, ...]
     findings: tuple[str, ...] = ()
-    pooled: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    pooled: Mapping[str, PooledDelay] = field(default_factory=dict)
 
 
-def judge(rows: Sequence[Row], evidence: Mapping[str, Evidence], findings: Sequence[str] = ()) -> DatasetJudgement:
-    """Judge the rows of a dataset's episodes; `findings`: what is wrong with the dataset's own files."""
+def judge(
+    rows: Sequence[Row], evidence: Mapping[str, Evidence], findings: Sequence[str] = ()
+) -> DatasetJudgement:
+    """Judge the rows of a dataset's episodes; `findings`: what is wrong with the dataset's own
+    files."""
     names = [row["name"] for row in rows if row["name"] in evidence]
-    outliers = tuple(sorted(_outliers(names, evidence), key=lambda one: -one.z))
-    told = [_with_outliers(row, [one for one in outliers if one.episode == row["name"]]) for row in rows]
+    odd = sorted(_outliers(names, evidence), key=lambda one: -one.z)
+    outliers = tuple(one for one in odd if one.accused)
+    told = [
+        _with_outliers(row, [one for one in odd if one.episode == row["name"]]) for row in rows
+    ]
     doubles = tuple(_duplicates(names, evidence))
-    pooled = _pooled(names, evidence)
+    pooled = _pooled(names, evidence, outliers)
     scores = tuple(_scores(rows, evidence, outliers, pooled))
     whole = (*findings, *doubles)
-    verdict = tuple(_verdict(rows, names, evidence, outliers, pooled, whole))
+    differing = [one for one in odd if not one.accused]
+    verdict = tuple(_verdict(rows, names, evidence, outliers, differing, pooled, whole))
     return DatasetJudgement(told, evidence, verdict, scores, outliers, whole, pooled)
 
 
 def _with_outliers(row: Row, outliers: Sequence[StandsOut]) -> Row:
-    texts = [["warning", one.text] for one in outliers]
-    verdict = [one.text for one in outliers] or list(row["verdict"])
+    texts = [["warning" if one.accused else "info", one.text] for one in outliers]
+    verdict = [one.text for one in outliers if one.accused] or list(row["verdict"])
     return {**row, "findings": [*row["findings"], *texts], "verdict": verdict}
 
 
 def _outliers(names: Sequence[str], evidence: Mapping[str, Evidence]) -> Iterator[StandsOut]:
-    """Episodes that stand out, each cause once: a wrong unit or swapped joints explain all else about these joints."""
+    """Episodes that stand out, each cause once: a wrong unit or swapped joints explain all else
+    about these joints."""
     table = _compared(names, evidence)
     looks = sum(int(np.isfinite(values).sum()) for values, _, _ in table.values())
     found: dict[tuple[int, str], Outlier] = {}
     for figure, (values, std, resolution) in table.items():
         for one in find_outliers(values, std, resolution, looks):
-            found[one.number, figure] = one
+            if not _is_at_stop(figure, names[one.number], names, evidence):
+                found[one.number, figure] = one
     for number in sorted({number for number, _ in found}):
         own = {figure: one for (k, figure), one in found.items() if k == number}
         yield from _told(names[number], own, table)
+
+
+def _is_at_stop(
+    figure: str, episode: str, names: Sequence[str], evidence: Mapping[str, Evidence]
+) -> bool:
+    """Whether a figure is about a joint at an end of what it reads in all episodes: it may rest
+    there."""
+    at = evidence[episode]["figures"][figure][3]
+    if at is None:
+        return False
+    joint = figure.partition("/")[2]
+    lows, highs = [], []
+    for name in names:
+        joints = evidence[name]["joints"]
+        if name != episode and joints is not None and joint in joints["names"]:
+            number = joints["names"].index(joint)
+            lows.append(joints["low"][number])
+            highs.append(joints["high"][number])
+    if not lows:
+        return False
+    margin = STOP_SHARE * (max(highs) - min(lows))
+    return not min(lows) + margin < at < max(highs) - margin
 
 
 def _compared(
@@ -93,12 +148,16 @@ def _compared(
         check = check_of(figure)
         if check is None or check.resolution is None:
             continue
-        pairs = [evidence[name]["figures"].get(figure, (None, None)) for name in names]
-        values = np.array([np.nan if value is None else value for value, _ in pairs])
+        known = [evidence[name]["figures"].get(figure, _UNMEASURED) for name in names]
+        values = np.array([value for value, *_ in known])
         resolution = check.resolution
         if check.unit == "joint":
             resolution *= _span(figure.partition("/")[2], names, evidence)
-        found[figure] = (values, without_nan([std for _, std in pairs]), max(resolution, 1e-9))
+        found[figure] = (
+            values,
+            np.array([own_std(std, shared) for _, std, shared, _ in known]),
+            max(resolution, 1e-9),
+        )
     return found
 
 
@@ -134,10 +193,22 @@ def _told(
     yield from _swapped(episode, left, table)
     for part in sorted({figure.partition("/")[2] for figure in left}):
         group = {figure: one for figure, one in left.items() if figure.partition("/")[2] == part}
+        accusing = [figure for figure in group if _accuses(figure)]
         # the figure that says most of the cause comes first in the table of checks
-        order = list(BY_NAME)
-        first = min(group, key=lambda figure: order.index(_name(figure)))
-        yield StandsOut(episode, tuple(sorted(group)), max(one.z for one in group.values()), _text(first, group[first]))
+        first = min(accusing or group, key=_rank)
+        z = max(group[figure].z for figure in accusing or group)
+        text = _text(first, group[first])
+        yield StandsOut(episode, tuple(sorted(group)), z, text, bool(accusing))
+
+
+def _accuses(figure: str) -> bool:
+    check = check_of(figure)
+    return check is not None and check.accuses
+
+
+def _rank(figure: str) -> int:
+    """Place of a figure's check in the table."""
+    return list(BY_NAME).index(_name(figure))
 
 
 def _name(figure: str) -> str:
@@ -174,7 +245,11 @@ def _swapped(
 ) -> Iterator[StandsOut]:
     """Two joints of which each has the other's usual posture."""
     for name in ("mean", "start"):
-        odd = {figure.partition("/")[2]: one for figure, one in left.items() if figure.startswith(f"{name}/")}
+        odd = {
+            figure.partition("/")[2]: one
+            for figure, one in left.items()
+            if figure.startswith(f"{name}/")
+        }
         for a in sorted(odd):
             for b in sorted(odd):
                 if a < b and a in odd and b in odd and _exchanged(odd[a], odd[b]):
@@ -183,7 +258,7 @@ def _swapped(
                     for figure in figures:
                         del left[figure]
                     del odd[a], odd[b]
-                    text = f"{a} and {b} are swapped: each reads what the other reads in the other episodes"
+                    text = f"{a} and {b} are swapped: each reads what the other reads elsewhere"
                     yield StandsOut(episode, figures, z, text)
                     break
 
@@ -215,37 +290,52 @@ def _duplicates(names: Sequence[str], evidence: Mapping[str, Evidence]) -> Itera
             yield f"{' and '.join(same)} are the same episode: equal in every number"
 
 
-def _pooled(names: Sequence[str], evidence: Mapping[str, Evidence]) -> dict[str, tuple[float, float, float]]:
-    """Delays over episodes {figure: (mean, standard error, jitter)} (s)."""
-    figures = sorted({f for name in names for f in evidence[name]["figures"] if f.startswith("delay/")})
+def _pooled(
+    names: Sequence[str], evidence: Mapping[str, Evidence], outliers: Sequence[StandsOut]
+) -> dict[str, PooledDelay]:
+    """Delays over episodes by figure, without those of episodes that stand out in it."""
+    odd = {(one.episode, figure) for one in outliers for figure in one.figures}
+    figures = sorted(
+        {f for name in names for f in evidence[name]["figures"] if f.startswith("delay/")}
+    )
     found = {}
     for figure in figures:
-        pairs = [evidence[name]["figures"][figure] for name in names if figure in evidence[name]["figures"]]
-        told = [(value, std) for value, std in pairs if value is not None and std is not None]
+        known = [
+            evidence[name]["figures"][figure]
+            for name in names
+            if figure in evidence[name]["figures"] and (name, figure) not in odd
+        ]
+        told = [
+            (value, own_std(std, shared), shared) for value, std, shared, _ in known if std is not None
+        ]
         if told:
-            one = pool(np.array([value for value, _ in told]), np.array([std for _, std in told]))
-            found[figure] = (one.mean, one.std, one.jitter)
+            values, std, shared = np.array(told).T
+            one = pool(values, std)
+            found[figure] = PooledDelay(one.mean, one.std, float(shared.mean()), one.jitter)
     return found
 
 
 def _scores(
     rows: Sequence[Row], evidence: Mapping[str, Evidence], outliers: Sequence[StandsOut],
-    pooled: Mapping[str, tuple[float, float, float]],
+    pooled: Mapping[str, PooledDelay],
 ) -> Iterator[Score]:  # fmt: skip
-    """Scores of the whole dataset: counts, pooled delays, and medians of shares and rates over episodes."""
+    """Scores of the whole dataset: counts, pooled delays, and medians of shares and rates over
+    episodes."""
     yield Score("episodes", float(len(rows)), "1")
     yield Score("outliers", float(len({one.episode for one in outliers})), "1")
-    for figure, (mean, std, jitter) in pooled.items():
-        yield Score(figure, mean, "s", std)
-        yield Score(f"std/{figure}", std, "s")
-        yield Score(f"jitter/{figure}", jitter, "s")
+    for figure, one in pooled.items():
+        yield Score(figure, one.mean, "s", one.std)
+        yield Score(f"std/{figure}", one.std, "s")
+        yield Score(f"jitter/{figure}", one.jitter, "s")
     for figure in _medians(evidence):
         yield Score(figure, _median(figure, evidence), BY_NAME[figure.partition("/")[0]].unit)
 
 
 def _medians(evidence: Mapping[str, Evidence]) -> list[str]:
-    kinds = ("repeated", "rate", "dropped", "frozen", "black", "idle")
-    return sorted({f for one in evidence.values() for f in one["figures"] if f.partition("/")[0] in kinds})
+    kinds = ("repeated", "rate", "dropped", "frozen", "black", "saturated", "idle")
+    return sorted(
+        {f for one in evidence.values() for f in one["figures"] if f.partition("/")[0] in kinds}
+    )
 
 
 def _median(figure: str, evidence: Mapping[str, Evidence]) -> float:
@@ -254,10 +344,12 @@ def _median(figure: str, evidence: Mapping[str, Evidence]) -> float:
 
 
 def _verdict(
-    rows: Sequence[Row], names: Sequence[str], evidence: Mapping[str, Evidence], outliers: Sequence[StandsOut],
-    pooled: Mapping[str, tuple[float, float, float]], whole: Sequence[str],
+    rows: Sequence[Row], names: Sequence[str], evidence: Mapping[str, Evidence],
+    outliers: Sequence[StandsOut], differing: Sequence[StandsOut],
+    pooled: Mapping[str, PooledDelay], whole: Sequence[str],
 ) -> Iterator[str]:  # fmt: skip
-    """How many episodes there are and stand out, then what is wrong with all of them, then with the files."""
+    """How many episodes there are and stand out, then what is wrong with all of them, then with the
+    files."""
     seconds = sum(evidence[name]["duration_s"] for name in names)
     unusable = [row["name"] for row in rows if row["exit_code"] not in (0, 3, 4)]
     odd = list(dict.fromkeys(one.episode for one in outliers))
@@ -265,38 +357,56 @@ def _verdict(
     text += f"; {len(odd)} stand out: {listed(odd)}" if odd else "; none stands out from the others"
     text += f"; {len(unusable)} cannot be used: {listed(unusable)}" if unusable else ""
     yield text
+    others = [f"{one.episode} ({min(one.figures, key=_rank)})" for one in differing]
+    if others:
+        yield f"differ from the others, perhaps for good reasons: {listed(others)}"
     yield from _camera_sentences(evidence)
-    for figure, (mean, std, jitter) in pooled.items():
-        yield _delay_sentence(figure, mean, std, jitter)
+    for figure, one in pooled.items():
+        yield _delay_sentence(figure, one)
     yield from _joint_sentences(names, evidence)
     yield from whole
 
 
 def _camera_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:
-    """True frame rates, and pictures that are lost to a learner in most episodes."""
+    """True frame rates, and cameras of whose pictures a share is lost to a learner."""
     for figure in _medians(evidence):
         kind, _, camera = figure.partition("/")
-        share = _median(figure, evidence)
-        if kind == "repeated" and share >= 0.05:
-            stored = [one["cameras"][camera]["stored_hz"] for one in evidence.values() if camera in one["cameras"]]
+        if kind == "repeated" and (share := _median(figure, evidence)) >= REPORTED_SHARE:
+            stored = [
+                one["cameras"][camera]["stored_hz"]
+                for one in evidence.values()
+                if camera in one["cameras"]
+            ]
             known = [hz for hz in stored if hz is not None]
             if known:
                 hz = float(np.median(known))
                 distinct = f"{hz:.3g} Hz, of which {hz * (1.0 - share):.2g} distinct"
-                yield f"{camera}: {distinct}: a learner sees each picture twice"
-        elif kind in ("frozen", "black", "dropped") and share >= 0.05:
-            yield f"{camera}: {100.0 * share:.0f} % of its images are {kind} in most episodes"
+                yield f"{camera}: {distinct}: {100.0 * share:.0f} % repeat the one before"
+        elif kind in ("frozen", "black", "saturated", "dropped"):
+            figures = {
+                name: one["figures"].get(figure, (0.0,))[0] for name, one in evidence.items()
+            }
+            some = [name for name, share in figures.items() if share >= REPORTED_SHARE]
+            if some:
+                count = f"{len(some)} of {len(evidence)} episodes"
+                yield f"{camera}: {kind} images in {count}: {listed(some)}"
 
 
-def _delay_sentence(figure: str, mean: float, std: float, jitter: float) -> str:
+def _delay_sentence(figure: str, one: PooledDelay) -> str:
+    mean, std = one.mean, one.std
     size = f"{1e3 * abs(mean):.0f} ± {1e3 * std:.0f} ms"
-    between = f", jitter {1e3 * jitter:.0f} ms between episodes" if jitter > 0.0 else ""
+    between = f", jitter {1e3 * one.jitter:.0f} ms between episodes" if one.jitter > 0.0 else ""
+    if one.shared_std > one.own_std:
+        shutter = f"± {1e3 * one.shared_std:.0f} ms of it for a rolling shutter"
+        between += f"; {shutter}, which --urdf would measure"
     if figure == "delay/action":
         return f"the state follows the action after {size}{between}"
     name = figure.partition("/")[2]
     if abs(mean) <= SIGNIFICANT_SIGMA * std:
         return f"{name}: no delay is significant ({size}{between})"
-    return f"{name}: images are {size} {'late' if mean > 0.0 else 'early'} against the joints{between}"
+    return (
+        f"{name}: images are {size} {'late' if mean > 0.0 else 'early'} against the joints{between}"
+    )
 
 
 def _joint_sentences(names: Sequence[str], evidence: Mapping[str, Evidence]) -> Iterator[str]:
@@ -305,11 +415,16 @@ def _joint_sentences(names: Sequence[str], evidence: Mapping[str, Evidence]) -> 
     still = Counter[str]()
     for name in names:
         figures = evidence[name]["figures"]
-        still.update(f.partition("/")[2] for f, pair in figures.items() if f.startswith("still/") and pair[0])
+        still.update(
+            f.partition("/")[2] for f, pair in figures.items() if f.startswith("still/") and pair[0]
+        )
     never = [joint for joint, count in still.items() if count == len(joints)]
     if never:
         yield f"never moved in any episode: {listed(never)}"
-    for what, values in (("units", [one["unit"] for one in joints]), ("joints", [str(one["names"]) for one in joints])):
+    for what, values in (
+        ("units", [one["unit"] for one in joints]),
+        ("joints", [str(one["names"]) for one in joints]),
+    ):
         kinds = Counter(values)
         if len(kinds) > 1:
             shown = ", ".join(f"{text[:60]} in {count}" for text, count in kinds.most_common(3))

@@ -1,9 +1,9 @@
-"""What a dataset's examination leaves: evidence read back, the dataset's row, the page, and the table of episodes."""
+"""What a dataset's examination leaves: evidence read back, the dataset's row, the page, and the
+table of episodes."""
 
 from collections.abc import Mapping, Sequence
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,12 +25,15 @@ _MOST_BYTES = 64 << 20
 def judge_dataset(out: Path, rows: Sequence[Row]) -> DatasetJudgement:
     """Judge the rows in a folder by the evidence beside them, and the dataset's own files."""
     evidence = read_evidence(out, rows)
-    findings = tuple(dict.fromkeys(dataset_findings({row["name"]: row["log"] for row in rows}, evidence)))
+    findings = tuple(
+        dict.fromkeys(dataset_findings({row["name"]: row["log"] for row in rows}, evidence))
+    )
     return judge(rows, evidence, findings)
 
 
 def read_evidence(out: Path, rows: Sequence[Row]) -> dict[str, Evidence]:
-    """The evidence of the rows that have some, by name; a file that cannot be read counts as none."""
+    """The evidence of the rows that have some, by name; a file that cannot be read counts as
+    none."""
     found: dict[str, Evidence] = {}
     for row in rows:
         if EVIDENCE not in row["outputs"]:
@@ -45,7 +48,8 @@ def read_evidence(out: Path, rows: Sequence[Row]) -> dict[str, Evidence]:
 
 
 def dataset_row(judged: DatasetJudgement, bounds: Sequence[str]) -> Row:
-    """The row of the whole: its verdict, scores with standard errors, outliers; a bound on these may be broken."""
+    """The row of the whole: its verdict, scores with standard errors, outliers; a bound on these
+    may be broken."""
     code, error = 0, None
     known = [score_bounds.parse(text) for text in bounds]
     try:
@@ -77,7 +81,8 @@ def page(judged: DatasetJudgement) -> str:
 
 
 def write_table(rows: Sequence[Row], path: Path) -> None:
-    """Write a table with a row per episode: .parquet, or CSV; UsageError for Parquet without pyarrow."""
+    """Write a table with a row per episode: .parquet, or CSV; UsageError for Parquet without
+    pyarrow."""
     from ..recording.tables import saver
 
     save = saver("parquet" if path.suffix == ".parquet" else "csv")
@@ -86,13 +91,18 @@ def write_table(rows: Sequence[Row], path: Path) -> None:
 
 
 def table_columns(rows: Sequence[Row]) -> Mapping[str, Array]:
-    """Name, log, status, exit code, every figure of any episode (NaN where it was not measured), and the findings."""
+    """Name, log, status, exit code, every figure of any episode (NaN where it was not measured),
+    and the findings."""
     figures = sorted({name for row in rows for name in row["scores"]})
-    found: dict[str, Array] = {key: np.array([str(row[key]) for row in rows]) for key in ("name", "log", "status")}
+    found: dict[str, Array] = {
+        key: np.array([str(row[key]) for row in rows]) for key in ("name", "log", "status")
+    }
     found["exit_code"] = np.array([row["exit_code"] for row in rows], np.int64)
     for name in figures:
         values = [row["scores"].get(name) for row in rows]
         found[name] = np.array([np.nan if value is None else value for value in values], float)
-    texts = ["; ".join(text for severity, text in row["findings"] if severity != "info") for row in rows]
+    texts = [
+        "; ".join(text for severity, text in row["findings"] if severity != "info") for row in rows
+    ]
     found["findings"] = np.array(texts)
     return found

@@ -1,26 +1,33 @@
-"""An episode as the checks see it: joints and actions as they are stored, and each camera's images seen once."""
+"""An episode as the checks see it: joints and actions as they are stored, and each camera's images
+seen once."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..delay_findings import LONGEST, MOST_FLOW_IMAGES, middle
-from ..flow_findings import delay_by_flow, has_motion, see_cameras
+from ..errors import LogError
+from ..flow_findings import delay_by_flow, has_motion
+from ..perception.surface.flow import measure_grid_flow
+from ..recording.cameras import camera_name
+from ..recording.role_hints import camera_topics
 from ..settings import Settings
-from ..types import Array, Finding, Recording
+from ..types import Array, Finding, Frame, Recording
 
 if TYPE_CHECKING:
     from ..estimation.timing.flow_delay import FlowDelay
-    from ..logs.datasets.episode_log import EpisodeLog, Signal
+    from ..logs.datasets.episode_log import Camera, EpisodeLog, Signal
     from ..perception.surface.flow import GridFlow
 
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """Numbers as stored: t (N,) s since the first joint reading · values (N,K) · names (K,) · their unit."""
+    """Numbers as stored: t (N,) s since the first joint reading · values (N,K) · names (K,) · their
+    unit."""
 
     t: Array
     values: Array
@@ -35,19 +42,26 @@ class Stored:
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """A camera's images: what was seen of them (None of fewer than two), and the delay by flow (None: not tried)."""
+    """A camera's images: what was seen of them (None of fewer than two), and the delay by flow
+    (None: not tried).
+
+    count: its images · unreadable: those of them that cannot be decoded.
+    """
 
     seen: "GridFlow | None"
     delay: "FlowDelay | None"
+    count: int = 0
+    unreadable: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class EpisodeReading:
     """One episode, read once.
 
-    joints, action: None where the episode has none · films {camera: Film} · read: the same episode as estimation sees
-    it, its joints in rad · rows: rows of its table, and `declared_rows`, those that the dataset lists (None: none) ·
-    features {name: (dtype, values (N,K))}: all numbers of the table · findings of the readers.
+    joints, action: None where the episode has none · films {camera: Film} · read: the same episode
+    as estimation sees it, its joints in rad · rows: rows of its table, and `declared_rows`, those
+    that the dataset lists (None: none) · features {name: (dtype, values (N,K))}: all numbers of the
+    table · findings of the readers.
     """
 
     joints: Stored | None
@@ -61,25 +75,101 @@ class EpisodeReading:
 
 
 def read_episode(log: Path, settings: Settings) -> EpisodeReading:
-    """Read an episode; of a longer one than a minute the images of the middle minute. InputError if it is unusable."""
+    """Read an episode; of a longer one than a minute the images of the middle minute. InputError if
+    it is unusable."""
     from ..logs.datasets.episode_log import EpisodeLog
     from ..logs.formats import open_log
     from ..recording import recording
 
+    with open_log(log, settings.input.strict, settings.input) as opened:
+        episode = opened if isinstance(opened, EpisodeLog) else None
+        topics = camera_topics(opened.topics)
+    if episode is None and not settings.topics.cameras and topics:
+        settings = replace(settings, topics=replace(settings.topics, camera=tuple(topics)))
     whole = recording.read(log, settings, settings.input.strict)
     read = middle(whole, LONGEST, MOST_FLOW_IMAGES)
+    films = _films_of_log(read) if episode is None else _films_of_episode(episode, read)
     by_flow = settings.time.delay != "off" and settings.kinematics.urdf is None and has_motion(read)
-    films = {
-        name: Film(seen, delay_by_flow(read, seen) if by_flow else None)
-        for name, seen in see_cameras(read)
-    }
+    if by_flow:
+        films = {
+            name: replace(film, delay=delay_by_flow(read, film.seen))
+            for name, film in films.items()
+        }
     found = whole.joints
     joints = None if found is None else Stored(found.t, found.values, found.names, found.unit)
     reading = EpisodeReading(joints, None, films, whole, 0 if joints is None else len(joints.t))
-    with open_log(log, settings.input.strict, settings.input) as opened:
-        if isinstance(opened, EpisodeLog):
-            reading = _with_stored_rows(reading, opened)
+    if episode is not None:
+        reading = _with_stored_rows(reading, episode)
     return replace(reading, findings=tuple(dict.fromkeys((*whole.findings, *reading.findings))))
+
+
+def _films_of_log(read: Recording) -> dict[str, Film]:
+    """What is seen of each camera of a log, by its topic's name."""
+    first = camera_name(read.roles["camera"]) if "camera" in read.roles else ""
+    found = {}
+    for name, film in {"": read.frames, **read.views}.items():
+        if film is not None:
+            frames = _Counted(film())
+            seen = measure_grid_flow(frames)
+            found[name or first] = Film(seen, None, frames.count, frames.count - _seen_count(seen))
+    return found
+
+
+def _films_of_episode(log: "EpisodeLog", read: Recording) -> dict[str, Film]:
+    """What is seen of each camera of a dataset's episode; images are decoded as grey ones, for no
+    check needs more."""
+    found = {}
+    for camera in log.cameras.values():
+        t = (camera.ns - read.start_ns) / 1e9
+        spare = max(0.0, 0.5 * (read.duration_s - LONGEST))
+        frames = _Counted(_grey_frames(camera, t, spare, read.duration_s - spare))
+        seen = measure_grid_flow(frames)
+        found[camera_name(camera.topic)] = Film(
+            seen, None, frames.count, frames.count - _seen_count(seen)
+        )
+    return found
+
+
+def _seen_count(seen: "GridFlow | None") -> int:
+    return 0 if seen is None else len(seen.brightness)
+
+
+class _Counted:
+    """Frames, counted as they pass."""
+
+    def __init__(self, frames: Iterator[Frame]) -> None:
+        self._frames = frames
+        self.count = 0
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames."""
+        for frame in self._frames:
+            self.count += 1
+            yield frame
+
+
+def _grey_frames(camera: "Camera", t: Array, begin: float, end: float) -> Iterator[Frame]:
+    """The frames of a camera at t (N,) s that lie from begin to end (s), as grey images where these
+    cost less."""
+    read = camera.read if camera.read_grey is None else camera.read_grey
+    for number, image in read():
+        at = float(t[number])
+        if begin <= at <= end:
+            yield Frame(at, int(camera.ns[number]), partial(_decode, image), False)
+
+
+def _decode(image: "Array | bytes | None", _shrink: int) -> Array:
+    """An image as a camera of an episode gives it; LogError for one that cannot be decoded."""
+    import cv2
+
+    if isinstance(image, bytes):
+        decoded = (
+            cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_GRAYSCALE) if image else None
+        )
+        image = None if decoded is None else np.asarray(decoded)
+    if image is None:
+        raise LogError("the image cannot be decoded")
+    return image
 
 
 def _with_stored_rows(reading: EpisodeReading, log: "EpisodeLog") -> EpisodeReading:

@@ -5,9 +5,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Measurement:
-    """One figure of an episode, of a camera or joint (`part`, "" of the whole), with its standard error.
+    """One figure of an episode, of a camera or joint (`part`, "" of the whole), with its standard
+    error.
 
-    text: what is wrong by the episode's own evidence, "" if nothing is · severity: lost, warning or info.
+    shared_std: the part of the standard error that siblings have alike, so that no mean over them
+    reduces it. text: what is wrong by the episode's own evidence, "" if nothing is · severity:
+    lost, warning or info · at: the joint reading that the figure is about, NaN without one.
     """
 
     part: str
@@ -15,3 +18,5 @@ class Measurement:
     std: float | None = None
     text: str = ""
     severity: str = "warning"
+    shared_std: float = 0.0
+    at: float = float("nan")

@@ -1,6 +1,6 @@
-"""Figures of episodes beside those of their siblings: the pooled mean with its jitter, and those that stand out."""
+"""Figures of episodes beside those of their siblings: the pooled mean with its jitter, and those
+that stand out."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +18,8 @@ _ROUNDS = 50
 
 @dataclass(frozen=True)
 class Pooled:
-    """A figure over episodes: mean, its standard error, and the jitter, the standard deviation between episodes that
-    the figures' own errors do not explain."""
+    """A figure over episodes: mean, its standard error, and the jitter, the standard deviation
+    between episodes that the figures' own errors do not explain."""
 
     mean: float
     std: float
@@ -28,8 +28,8 @@ class Pooled:
 
 @dataclass(frozen=True)
 class Outlier:
-    """An episode (by number) whose figure stands out: value, the mean and spread of the others, the distance in
-    standard deviations `z`, and the `bound` that it exceeds."""
+    """An episode (by number) whose figure stands out: value, the mean and spread of the others, the
+    distance in standard deviations `z`, and the `bound` that it exceeds."""
 
     number: int
     value: float
@@ -42,8 +42,9 @@ class Outlier:
 def pool(values: Array, std: Array) -> Pooled:
     """The random-effects mean of values (N,) with standard errors (N,), by Paule & Mandel (1982).
 
-    The jitter τ² is that for which Σ (x − μ)² / (σ² + τ²) = N − 1; where Σ is less without it, it is 0. The mean's
-    error is scaled by what is left of that sum (Hartung & Knapp 2001), never below the value for it.
+    The jitter τ² is that for which Σ (x − μ)² / (σ² + τ²) = N − 1; where Σ is less without it, it
+    is 0. The mean's error is scaled by what is left of that sum (Hartung & Knapp 2001), never below
+    the value for it.
     """
     if len(values) == 1:
         return Pooled(float(values[0]), float(std[0]), 0.0)
@@ -70,54 +71,57 @@ def _misfit(values: Array, std: Array, jitter2: float) -> tuple[float, float, fl
 
 
 def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> list[Outlier]:
-    """Episodes whose values (N,) stand out, by the generalised extreme studentised deviate test (Rosner 1983).
+    """Episodes whose values (N,) stand out, by the generalised extreme studentised deviate test
+    (Rosner 1983).
 
-    Each value is compared with the mean and spread of the others; the farthest leaves, and so on, so that several
-    outliers do not hide each other. The bound is Student's, for FALSE_ALARMS over all `looks`, the number of figures
-    of the dataset. std (N,): standard errors · resolution: the least spread that is believed.
+    Each value is compared with the mean and spread of the others; the farthest leaves, and so on,
+    so that several outliers do not hide each other. FALSE_ALARMS is shared by all `looks`, the
+    number of figures of the dataset: the spread, which is estimated from few episodes, has
+    Student's bound, std (N,), the standard errors, and `resolution`, the least spread that is
+    believed, the normal one.
     """
-    from scipy.special import stdtrit
+    from scipy.special import ndtri, stdtrit
 
     rest = np.flatnonzero(np.isfinite(values))
     if len(rest) < LEAST_EPISODES:
         return []
-    removed: list[tuple[int, float, float]] = []
-    last = 0
+    tail = 0.5 * FALSE_ALARMS / max(looks, 1)
+    normal = float(-ndtri(tail))
+    removed: list[Outlier] = []
+    count = 0
     for _ in range(max(1, int(LARGEST_SHARE * len(rest)))):
-        z = _distances(values[rest], std[rest], resolution)
-        farthest = int(np.argmax(z))
-        bound = float(-stdtrit(len(rest) - 2, 0.5 * FALSE_ALARMS / max(looks, 1)))
-        removed.append((int(rest[farthest]), float(z[farthest]), bound))
-        if z[farthest] > bound:
-            last = len(removed)
-        rest = np.delete(rest, farthest)
-    chosen = removed[:last]
-    numbers = [number for number, _, _ in chosen]
-    others = np.delete(values, numbers)
-    others = others[np.isfinite(others)]
-    mean, spread = float(others.mean()), float(others.std(ddof=1))
-    # the first distances may be short beside further outliers: all are told against the sound ones
-    scale = np.hypot(np.hypot(spread, resolution), std)
-    return [
-        Outlier(number, float(values[number]), mean, spread, abs(float(values[number]) - mean) / scale[number], bound)
-        for number, _, bound in chosen
-    ]
+        student = float(-stdtrit(len(rest) - 2, tail))
+        found = [_compare(values, std, rest, int(k), resolution, student, normal) for k in rest]
+        farthest = max(found, key=lambda one: one.z / one.bound)
+        removed.append(farthest)
+        if farthest.z > farthest.bound:
+            count = len(removed)
+        rest = rest[rest != farthest.number]
+    outliers = [one.number for one in removed[:count]]
+    sound = np.setdiff1d(np.flatnonzero(np.isfinite(values)), outliers)
+    student = float(-stdtrit(max(len(sound) - 1, 1), tail))
+    # distances beside further outliers are short: each is told as it is farthest
+    alone = [_compare(values, std, sound, k, resolution, student, normal) for k in outliers]
+    pairs = zip(removed[:count], alone, strict=True)
+    return [max(pair, key=lambda one: one.z / one.bound) for pair in pairs]
 
 
-def _distances(values: Array, std: Array, resolution: float) -> Array:
-    """Distances (N,) of values from the mean of the others, in standard deviations of a further value."""
-    count = len(values)
-    total = values.sum()
-    means = (total - values) / (count - 1)
-    found = np.empty(count)
-    for number in range(count):
-        others = np.delete(values, number)
-        variance = float(others.var(ddof=1)) * (1.0 + 1.0 / (count - 1))
-        own = max(0.0, float(std[number] ** 2 - np.mean(np.delete(std, number) ** 2)))
-        found[number] = abs(values[number] - means[number]) / np.sqrt(variance + own + resolution**2)
-    return found
+def _compare(
+    values: Array, std: Array, rest: Array, number: int, resolution: float, student: float,
+    normal: float,
+) -> Outlier:  # fmt: skip
+    """One value against the others among `rest`: Student's bound for their spread, the normal one
+    for known errors."""
+    others = values[rest[rest != number]]
+    mean = float(others.mean())
+    spread = float(others.std(ddof=1)) * (1.0 + 1.0 / len(others)) ** 0.5
+    known = float(np.hypot(std[number], resolution))
+    scale = float(np.hypot(spread, known))
+    bound = float(np.hypot(student * spread, normal * known)) / scale
+    value = float(values[number])
+    return Outlier(number, value, mean, spread, abs(value - mean) / scale, bound)
 
 
-def without_nan(std: Sequence[float | None]) -> Array:
-    """Standard errors (N,), 0 where there is none."""
-    return np.array([0.0 if one is None else one for one in std])
+def own_std(std: float | None, shared_std: float) -> float:
+    """The part of a standard error that siblings do not share; 0 where there is none."""
+    return 0.0 if std is None else float(np.sqrt(max(std**2 - shared_std**2, 0.0)))

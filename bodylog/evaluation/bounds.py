@@ -69,7 +69,11 @@ def check(figures: Mapping[str, Sequence[Score]], bounds: Sequence[Bound]) -> No
 def measured(figures: Sequence[Score], bounds: Sequence[Bound]) -> list[Bound]:
     """The bounds that name any of the figures."""
     names = [figure.name for figure in figures]
-    return [bound for bound in bounds if any(bound.name == name or fnmatchcase(name, bound.name) for name in names)]
+    return [
+        bound
+        for bound in bounds
+        if bound.name in names or any(fnmatchcase(name, bound.name) for name in names)
+    ]
 
 
 def _broken(path: str, figures: Sequence[Score], bound: Bound) -> Iterator[str]:

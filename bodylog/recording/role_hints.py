@@ -36,14 +36,21 @@ def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str
         return tuple(Finding("warning", f"camera: {topic.name} holds {messages.PACKETS}") for topic in unread)
     if settings.cameras:
         return ()
-    ranked = sorted(topic.name for topic in topics if is_raw(topic) and camera_rank(topic) is not None)
-    by_name = {camera_name(topic): topic for topic in reversed(ranked)} | {camera_name(found["camera"].path): ""}
-    others = sorted(topic for topic in by_name.values() if topic)
+    first_name = camera_name(found["camera"].path)
+    others = [topic for topic in camera_topics(topics) if camera_name(topic) != first_name]
     if not others:
         return ()
     first = found["camera"].path
     text = f"camera: {first} is used, {', '.join(others)} not; for more, type: [topics] camera = "
     return (Finding("info", text + json.dumps([first, *others])),)
+
+
+def camera_topics(topics: Sequence[Topic]) -> list[str]:
+    """Every topic that may be a camera's, in order; of topics that give a camera the same name, the
+    first."""
+    seen = [topic for topic in topics if is_raw(topic) and camera_rank(topic) is not None]
+    ranked = sorted(topic.name for topic in seen)
+    return sorted({camera_name(topic): topic for topic in reversed(ranked)}.values())
 
 
 def unreadable(topics: Sequence[Topic]) -> list[str]:

@@ -53,14 +53,17 @@ JACKKNIFE_BLOCKS = 8
 class FlowDelay:
     """A delay by flow (s) with its σ, and the evidence for it over other delays (nats).
 
-    `joints`: indices of the joints that explain the flow best. `certain`: whether the evidence suffices; if not, the
-    value must not be used. `edge`: whether it lies at the end of the searched range.
+    shared_std_s: the part of σ, a rolling shutter's, that another log of the same camera has alike,
+    so that no mean over logs reduces it. `joints`: indices of the joints that explain the flow
+    best. `certain`: whether the evidence suffices; if not, the value must not be used. `edge`:
+    whether it lies at the end of the searched range.
     """
 
     delay: Delay
     nats: float
     joints: tuple[int, ...]
     edge: bool
+    shared_std_s: float = 0.0
 
     @property
     def certain(self) -> bool:
@@ -88,14 +91,15 @@ def estimate_flow_delay(
     parts = _split_into_parts(times, flow, joints)
     if not parts:
         return None
-    answers = [_delay_of_group(joints, parts, group) for group in groups if group]
-    told = [answer for answer in answers if answer is not None]
+    scans = [_scan_group(joints, parts, group) for group in groups if group]
+    told = [scan for scan in scans if scan is not None]
     if not told:
         return None
-    delay, nats, group, edge = max(told, key=lambda answer: answer[1])
+    scan = max(told, key=lambda scan: scan.nats)
+    delay = _refined_delay(parts, scan)
     row_std_s = _mean_row(flow) * row_time_s
     std_s = float(np.hypot(delay.std_error, row_std_s))
-    return FlowDelay(Delay(delay.seconds, std_s), nats, group, edge)
+    return FlowDelay(Delay(delay.seconds, std_s), scan.nats, scan.group, scan.edge, row_std_s)
 
 
 def _split_into_parts(times: Array, flow: Array, joints: Series) -> list[_Part]:
@@ -138,10 +142,22 @@ def _mean_row(flow: Array) -> float:
     return float(np.abs(typical @ rows) / typical.sum())
 
 
-def _delay_of_group(
+@dataclass(frozen=True, eq=False)
+class _GroupScan:
+    """The best of the delays that are tried first (s), by one group of joints, and its nats over
+    far ones."""
+
+    motion: "_JointMotion"
+    group: tuple[int, ...]
+    seconds: float
+    nats: float
+    edge: bool
+
+
+def _scan_group(
     joints: Series, parts: Sequence[_Part], group: tuple[int, ...]
-) -> tuple[Delay, float, tuple[int, ...], bool] | None:
-    """The delay by one group of joints: (delay, nats over other delays, group, at the edge of the range)."""
+) -> _GroupScan | None:
+    """The evidence that a group of joints gives for a delay; None where none of them moves."""
     motion = _JointMotion.of(joints, group)
     if motion is None:
         return None
@@ -151,10 +167,15 @@ def _delay_of_group(
     far = np.abs(tried - tried[best]) > FAR_S - 0.5 * GRID_STEP_S
     nats = float(evidence[best] - evidence[far].max())
     edge = best in (0, len(tried) - 1)
-    seconds, curvature = _refine(parts, motion, float(tried[best]))
+    return _GroupScan(motion, group, float(tried[best]), nats, edge)
+
+
+def _refined_delay(parts: Sequence[_Part], scan: _GroupScan) -> Delay:
+    """The delay of highest evidence near that of a scan, with the larger of two standard errors."""
+    seconds, curvature = _refine(parts, scan.motion, scan.seconds)
     std_s = curvature**-0.5 if curvature > 0.0 else LATEST_S - EARLIEST_S
-    scatter_s = _jackknife_std(parts, motion, seconds)
-    return Delay(seconds, max(std_s, scatter_s)), nats, group, edge
+    scatter_s = _jackknife_std(parts, scan.motion, seconds)
+    return Delay(seconds, max(std_s, scatter_s))
 
 
 @dataclass(frozen=True, eq=False)

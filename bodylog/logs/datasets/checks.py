@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -105,7 +106,9 @@ def _camera(camera: Camera, record: _ImageRecord, joints: Signal | None) -> Iter
 
 def _frozen(name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: Signal | None) -> Iterator[str]:
     """Runs of identical images while joints move."""
-    runs = [(first, end) for first, end in runs if joints is None or moves_between(joints.values, joints.ns, ns[first], ns[end - 1])]
+    if joints is not None:
+        moves = partial(moves_between, joints.values, joints.ns)
+        runs = [(first, end) for first, end in runs if moves(ns[first], ns[end - 1])]
     if not runs:
         return
     moving = "" if joints is None else " while joints move"
@@ -133,7 +136,8 @@ def _when(ns: Sequence[int], first: int, end: int) -> str:
 
 
 def moves_between(values: Array, times: Array, first: float, last: float) -> bool:
-    """Whether any joint of values (N,K) at times (N,) crosses part of its range from `first` to `last`."""
+    """Whether any joint of values (N,K) at times (N,) crosses part of its range from `first` to
+    `last`."""
     during = values[(times >= first) & (times <= last)]
     if not len(during):
         return False
@@ -149,7 +153,8 @@ def value_ranges(values: Array) -> Array:
 
 
 def _joints(joints: Signal) -> Iterator[str]:
-    still = [name for name, one in zip(joints.names, value_ranges(joints.values), strict=True) if one == 0]
+    ranges = value_ranges(joints.values)
+    still = [name for name, one in zip(joints.names, ranges, strict=True) if one == 0]
     if still:
         yield f"{joints.topic}: {', '.join(still)} {'is' if len(still) == 1 else 'are'} constant throughout"
     if missing := int((~np.isfinite(joints.values)).sum()):

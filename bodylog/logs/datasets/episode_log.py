@@ -53,7 +53,9 @@ class Texts:
 class Camera:
     """Images of one topic: their times ns (n,) int64, and a function that reads one item per time, in order.
 
-    `size` is (width, height) px of raw images; None: encoded in the format `form` (jpeg, png).
+    `read_grey` reads them as grey images (H,W) uint8, which costs less; None where images are
+    encoded one by one. `size` is (width, height) px of raw images; None: encoded in the format
+    `form` (jpeg, png).
     """
 
     topic: str
@@ -62,6 +64,7 @@ class Camera:
     size: tuple[int, int] | None
     form: str = ""
     metadata: Mapping[str, str] = field(default_factory=dict)
+    read_grey: Callable[[], Iterator[Item]] | None = None
 
 
 @dataclass(frozen=True, eq=False)

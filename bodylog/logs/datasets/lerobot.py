@@ -229,7 +229,8 @@ def _camera(
     times, more = _dated(name, t, ns, shown, known.fps)
     findings += more
     reader: Callable[[], Iterator[Item]] = partial(_of_video, film, first, last)
-    yield Camera(f"{topic}/image", times, reader, (film.width, film.height), "", metadata)
+    grey: Callable[[], Iterator[Item]] = partial(_of_video, film, first, last, grey=True)
+    yield Camera(f"{topic}/image", times, reader, (film.width, film.height), "", metadata, grey)
 
 
 def _is_depth(about: Mapping[str, Any]) -> bool:
@@ -265,6 +266,6 @@ def _of_table(table: Path, name: str, where: Sequence[tuple[int, int]], limits: 
     yield from enumerate(parquet.encoded(table, name, where, limits))
 
 
-def _of_video(film: video.Video, first: int, last: int) -> Iterator[Item]:
-    for number, image in video.images(film, first, last):
+def _of_video(film: video.Video, first: int, last: int, grey: bool = False) -> Iterator[Item]:
+    for number, image in video.images(film, first, last, grey):
         yield number - first, image

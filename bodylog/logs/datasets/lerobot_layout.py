@@ -145,11 +145,13 @@ def _layout(folder: Path, *_: tuple[int, int]) -> Layout:
 
 
 def stored_statistics(layout: Layout) -> tuple[dict[int, Any], Any]:
-    """Statistics as the dataset's files have them: {episode: {feature: …}}, and of the whole; empty without a file."""
+    """Statistics as the dataset's files have them: {episode: {feature: …}}, and of the whole; empty
+    without a file."""
     folder = layout.folder
     each, whole = folder / EPISODE_STATISTICS, folder / STATISTICS
     rows = _lines(each) if each.is_file() else []
-    by_episode = {row["episode_index"]: row.get("stats") for row in rows if _is_index(row.get("episode_index"))}
+    numbered = [row for row in rows if _is_index(row.get("episode_index"))]
+    by_episode = {row["episode_index"]: row.get("stats") for row in numbered}
     return by_episode, _json(whole) if whole.is_file() else {}
 
 

@@ -1,7 +1,8 @@
 """Read video files frame by frame: presentation times and images; memory holds one frame at a time."""
 
+import re
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,10 +61,16 @@ def survey(path: Path, limits: Input) -> Video:
         return Video(path, pts, float(stream.time_base or 0), width, height, stream.codec_context.name)
 
 
-def images(video: Video, first: int = 0, last: int | None = None) -> Iterator[tuple[int, Array | None]]:
-    """Frames `first` to before `last` by number, each with its image (H,W,3) uint8 BGR; None if it is undecodable."""
+def images(
+    video: Video, first: int = 0, last: int | None = None, grey: bool = False
+) -> Iterator[tuple[int, Array | None]]:
+    """Frames `first` to before `last` by number, each with its image (H,W,3) uint8 BGR; None if it
+    is undecodable.
+
+    `grey`: images (H,W) uint8 of their luminance.
+    """
     due, last = first, len(video.pts) if last is None else last
-    for number, image in _decoded(video, first):
+    for number, image in _decoded(video, first, _luminance if grey else _bgr):
         if number >= last:
             break
         if number < due:
@@ -74,7 +81,34 @@ def images(video: Video, first: int = 0, last: int | None = None) -> Iterator[tu
     yield from ((missing, None) for missing in range(due, last))
 
 
-def _decoded(video: Video, first: int) -> Iterator[tuple[int, Array]]:
+def _bgr(frame: Any) -> Array:
+    return np.asarray(frame.to_ndarray(format="bgr24"))
+
+
+def _luminance(frame: Any) -> Array:
+    """A frame's luminance (H,W) uint8 from 0 to 255; planes of 8 bits are taken as they are,
+    without conversion."""
+    import cv2
+
+    if not _PLANAR.fullmatch(frame.format.name):
+        return np.asarray(cv2.cvtColor(_bgr(frame), cv2.COLOR_BGR2GRAY))
+    plane = frame.planes[0]
+    rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
+    luminance = rows[: frame.height, : frame.width]
+    full = frame.format.name.startswith("yuvj") or frame.color_range == _FULL_RANGE
+    return np.ascontiguousarray(luminance) if full else np.asarray(cv2.LUT(luminance, _EXPANDED))
+
+
+_PLANAR = re.compile(r"yuvj?4[0-4][0-4]p|nv12|nv21")
+_FULL_RANGE = 2
+"""AVCOL_RANGE_JPEG: luminance from 0 to 255."""
+_EXPANDED = np.clip(np.rint((np.arange(256) - 16) * 255.0 / 219.0), 0, 255).astype(np.uint8)
+"""Luminance from 0 to 255 by that from 16 to 235 (ITU-R BT.601)."""
+
+
+def _decoded(
+    video: Video, first: int, convert: Callable[[Any], Array]
+) -> Iterator[tuple[int, Array]]:
     """Frames with their numbers, from a key frame at or before `first` to the end or the first damage."""
     known = {pts: number for number, pts in reversed(list(enumerate(video.pts.tolist())))}
     if not known:
@@ -87,7 +121,7 @@ def _decoded(video: Video, first: int) -> Iterator[tuple[int, Array]]:
         for frame in container.decode(stream):
             number = max(known.get(frame.pts, number + 1), number + 1)
             if (frame.width, frame.height) == (video.width, video.height):
-                yield number, frame.to_ndarray(format="bgr24")
+                yield number, convert(frame)
 
 
 @contextmanager

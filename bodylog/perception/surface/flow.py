@@ -28,9 +28,10 @@ class GridFlow:
 
     times (N,2) s: stamps of the earlier and the later frame · flow (N,rows,columns,2) pixels at FLOW_WIDTH_PX, along
     u and v · brightness (M,) 99th percentile of each stored frame, grey levels · sharpness (M,) variance of its
-    Laplacian, grey levels² · saturated (M,) share of its pixels that are white · block_change (M,) largest change of
-    a block's mean against the frame before, grey levels, infinite of the first · pictures: a few frames (h,w) uint8,
-    evenly spread · repeats: which stored frames repeat their predecessor · size (width, height) px.
+    Laplacian, grey levels² · saturated (M,) share of its pixels that are white · block_change (M,)
+    largest change of a block's mean against the frame before, grey levels, infinite of the first ·
+    pictures: a few frames (h,w) uint8, evenly spread · repeats: which stored frames repeat their
+    predecessor · size (width, height) px.
     """
 
     times: Array
@@ -46,6 +47,8 @@ class GridFlow:
 
 def measure_grid_flow(frames: Iterable[Frame]) -> GridFlow | None:
     """Decode frames once, find repeats, and measure flow between distinct ones; None without two frames.
+
+    A frame may decode to a grey image (H,W) as well.
 
     Frames that cannot be decoded, and frames of another size than the first, are left out.
     """
@@ -78,7 +81,8 @@ def measure_grid_flow(frames: Iterable[Frame]) -> GridFlow | None:
         saturated.append(float(np.count_nonzero(small >= WHITE_GREY)) / small.size)
         earlier = blocks
         blocks = block_means(image)
-        block_change.append(float("inf") if earlier is None else float(np.abs(blocks - earlier).max()))
+        change = np.inf if earlier is None else np.abs(blocks - earlier).max()
+        block_change.append(float(change))
         pictures.add(small)
         times.append(t)
         before = small
@@ -100,7 +104,8 @@ def measure_grid_flow(frames: Iterable[Frame]) -> GridFlow | None:
 
 
 class _SpreadPictures:
-    """Keeps pictures that are evenly spread over a film of unknown length: every second one goes when there are many."""
+    """Keeps pictures evenly spread over a film of unknown length: of many, every second one
+    goes."""
 
     def __init__(self) -> None:
         self._every = 1
@@ -126,7 +131,8 @@ def _grey_frames(frames: Iterable[Frame]) -> Iterator[tuple[float, Array]]:
     """Yield time (s) and grey image (H,W) uint8 of each frame that can be decoded."""
     for frame in frames:
         try:
-            yield frame.t, gray(frame.decode(1))
+            image = frame.decode(1)
+            yield frame.t, image if image.ndim == 2 else gray(image)
         except InputError:
             continue
 

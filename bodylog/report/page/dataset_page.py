@@ -1,4 +1,5 @@
-"""The page about a dataset: verdict, episodes that stand out with their pictures, and small multiples."""
+"""The page about a dataset: verdict, episodes that stand out with their pictures, and small
+multiples."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
@@ -12,18 +13,30 @@ WORST = 6
 _WIDTH, _HEIGHT = 220, 90
 """Size of a small multiple, px."""
 _MOST_JOINTS = 60
-_FIGURES = ("delay", "std", "repeated", "rate", "dropped", "frozen", "black", "idle", "duration", "error")
+_FIGURES = (
+    "delay",
+    "std",
+    "repeated",
+    "rate",
+    "dropped",
+    "frozen",
+    "black",
+    "idle",
+    "duration",
+    "error",
+)
 """Figures in the table of episodes; the rest is in --csv."""
-_SVG = "<svg class=\"multiple\" viewBox=\"0 0 {w} {h}\" width=\"{w}\" height=\"{h}\" role=\"img\" aria-label=\"{label}\">"
+_SVG = '<svg viewBox="0 0 {w} {h}" width="{w}" height="{h}" role="img" aria-label="{label}">'
 
 
 def dataset_page(
-    rows: Sequence[Mapping[str, Any]], evidence: Mapping[str, Mapping[str, Any]], verdict: Sequence[str],
-    outliers: Sequence[tuple[str, str]],
+    rows: Sequence[Mapping[str, Any]], evidence: Mapping[str, Mapping[str, Any]],
+    verdict: Sequence[str], outliers: Sequence[tuple[str, str]],
 ) -> str:  # fmt: skip
     """The page as text, without script and network: the same bytes for the same rows.
 
-    evidence {row's name: as dataset.examination.evidence} · outliers: (name, sentence), the farthest first.
+    evidence {row's name: as dataset.examination.evidence} · outliers: (name, sentence), the
+    farthest first.
     """
     odd = list(dict.fromkeys(name for name, _ in outliers))
     parts = [
@@ -41,7 +54,9 @@ def dataset_page(
 
 def _with_findings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Names of the rows with most warnings first; the first rows where none has any."""
-    counts = {row["name"]: sum(severity != "info" for severity, _ in row["findings"]) for row in rows}
+    counts = {
+        row["name"]: sum(severity != "info" for severity, _ in row["findings"]) for row in rows
+    }
     return sorted(counts, key=lambda name: -counts[name])
 
 
@@ -50,42 +65,72 @@ def _strips(names: Sequence[str], evidence: Mapping[str, Mapping[str, Any]]) -> 
     shown = []
     for name in names[:WORST]:
         for camera, about in evidence.get(name, {}).get("cameras", {}).items():
-            pictures = "".join(f'<img alt="" src="data:image/jpeg;base64,{text}">' for text in about["thumbnails"])
+            pictures = "".join(
+                f'<img alt="" src="data:image/jpeg;base64,{text}">' for text in about["thumbnails"]
+            )
             if pictures:
                 caption = escaped(f"{name}, {camera}")
-                shown.append(f'<figure class="strip">{pictures}<figcaption>{caption}</figcaption></figure>')
+                shown.append(
+                    f'<figure class="strip">{pictures}<figcaption>{caption}</figcaption></figure>'
+                )
     return "<h2>Pictures of the worst episodes</h2>\n" + "\n".join(shown) if shown else ""
 
 
 def _cameras(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]) -> str:
     """Delay, repeats and black images of each camera over episodes."""
     parts = []
-    kinds = (("delay", "s"), ("repeated", "share"), ("rate", "Hz"), ("black", "share"), ("frozen", "share"))
+    kinds = (
+        ("delay", "s"),
+        ("repeated", "share"),
+        ("rate", "Hz"),
+        ("black", "share"),
+        ("frozen", "share"),
+    )
     cameras = list(dict.fromkeys(name for one in evidence.values() for name in one["cameras"]))
     for camera in cameras:
         for kind, unit in kinds:
             figure = f"{kind}/{camera}"
-            points = [(name, *one["figures"][figure]) for name, one in evidence.items() if figure in one["figures"]]
+            points = [
+                (name, *one["figures"][figure][:2])
+                for name, one in evidence.items()
+                if figure in one["figures"]
+            ]
             if points and (kind in ("delay", "rate") or any(value for _, value, _ in points)):
                 parts.append(_dots(f"{figure} [{unit}]", points, list(evidence), odd))
-    return '<h2>Cameras over episodes</h2>\n<div class="multiples">' + "".join(parts) + "</div>" if parts else ""
+    return (
+        '<h2>Cameras over episodes</h2>\n<div class="multiples">' + "".join(parts) + "</div>"
+        if parts
+        else ""
+    )
 
 
 def _joints(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]) -> str:
-    """Each joint's curve in every episode, over the share of its time; episodes that stand out are red."""
+    """Each joint's curve in every episode, over the share of its time; episodes that stand out are
+    red."""
     curves: dict[str, list[tuple[str, list[float | None]]]] = {}
     for name, one in evidence.items():
         joints = one["joints"]
         for joint, curve in zip(joints["names"], joints["curves"], strict=True) if joints else ():
             curves.setdefault(joint, []).append((name, curve))
     parts = [_lines(joint, found, odd) for joint, found in list(curves.items())[:_MOST_JOINTS]]
-    more = f'<p class="soft">and {len(curves) - _MOST_JOINTS} more joints</p>' if len(curves) > _MOST_JOINTS else ""
-    note = '<p class="soft">Every line is an episode, from its start to its end; red: it stands out.</p>'
-    return f'<h2>Joints</h2>\n{note}<div class="multiples">' + "".join(parts) + "</div>" + more if parts else ""
+    more = (
+        f'<p class="soft">and {len(curves) - _MOST_JOINTS} more joints</p>'
+        if len(curves) > _MOST_JOINTS
+        else ""
+    )
+    note = '<p class="soft">A line is an episode, from start to end; red: it stands out.</p>'
+    return (
+        f'<h2>Joints</h2>\n{note}<div class="multiples">' + "".join(parts) + "</div>" + more
+        if parts
+        else ""
+    )
 
 
 def _dots(
-    title: str, points: Sequence[tuple[str, float, float | None]], names: Sequence[str], odd: Sequence[str]
+    title: str,
+    points: Sequence[tuple[str, float, float | None]],
+    names: Sequence[str],
+    odd: Sequence[str],
 ) -> str:
     """One value per episode with its 2σ bar."""
     low = min(value - 2.0 * (std or 0.0) for _, value, std in points)
@@ -98,7 +143,10 @@ def _dots(
         if std:
             ends = (_y(value - 2.0 * std, low, high), _y(value + 2.0 * std, low, high))
             marks.append(f'<path d="M{x:.1f} {ends[0]:.1f}V{ends[1]:.1f}" stroke="{ink}"/>')
-        marks.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.2" fill="{ink}"><title>{escaped(name)}</title></circle>')
+        marks.append(
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.2" fill="{ink}">'
+            f"<title>{escaped(name)}</title></circle>"
+        )
     return _multiple(title, low, high, marks)
 
 
@@ -148,9 +196,16 @@ def _multiple(title: str, low: float, high: float, marks: Sequence[str]) -> str:
 
 def _episodes(rows: Sequence[Mapping[str, Any]]) -> str:
     """A row for each episode with the figures of cameras and of the whole."""
-    figures = sorted({name for row in rows for name in row["scores"] if name.partition("/")[0] in _FIGURES})
+    figures = sorted(
+        {name for row in rows for name in row["scores"] if name.partition("/")[0] in _FIGURES}
+    )
     shown = [
-        (row["name"], row["status"], *(_number(row["scores"].get(figure)) for figure in figures), _remark(row))
+        (
+            row["name"],
+            row["status"],
+            *(_number(row["scores"].get(figure)) for figure in figures),
+            _remark(row),
+        )
         for row in rows
     ]
     return table("Episodes", ("episode", "status", *figures, "remark"), shown)
@@ -168,4 +223,8 @@ def _findings(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str, str
     """Losses and warnings of all episodes, then what is worth knowing."""
     for wanted in ("lost", "warning", "info"):
         for row in rows:
-            yield from ((row["name"], severity, text) for severity, text in row["findings"] if severity == wanted)
+            yield from (
+                (row["name"], severity, text)
+                for severity, text in row["findings"]
+                if severity == wanted
+            )

@@ -1,0 +1,134 @@
+"""`bodylog doctor DATASET`: rows, exit codes, resume, shards, bounds, tables and the page."""
+
+import json
+import shutil
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'bodylog[datasets]'")
+
+from . import arm_dataset
+
+COUNT = 3
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Short episodes of still pictures: the machinery is tested, not the checks."""
+    rows = 40
+    still = np.full((rows, 32, 48, 3), 90, np.uint8)
+    still[:, 8:20, 10:30] = 200
+    parts = []
+    for number in range(COUNT):
+        angles = arm_dataset.motion(number)(np.arange(rows) / arm_dataset.FPS)
+        parts.append(arm_dataset.Episode(angles, angles, still))
+    return arm_dataset.write(tmp_path_factory.mktemp("data") / "arm", parts)
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """All files of a folder."""
+    found = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
+
+
+def test_every_episode_has_a_result_and_the_dataset_one_more(dataset: Path, run_cli: Any, capsys: Any) -> None:
+    assert run_cli("doctor", dataset, "--json") == 0
+    results = json.loads(capsys.readouterr().out)["results"]
+    assert [one["name"] for one in results] == ["arm_0", "arm_1", "arm_2", "dataset"]
+    assert results[-1]["scores"]["episodes"] == {"value": 3.0, "unit": "1"}
+    assert "3 episodes" in results[-1]["verdict"][0]
+    assert results[0]["scores"]["repeated/top"]["value"] == 1.0
+
+
+def test_a_range_of_episodes_is_examined(dataset: Path, run_cli: Any, capsys: Any) -> None:
+    assert run_cli("doctor", dataset, "--episodes", "1:3", "--json", "--delay", "off") == 0
+    names = [one["name"] for one in json.loads(capsys.readouterr().out)["results"]]
+    assert names == ["arm_1", "arm_2", "dataset"]
+    assert run_cli("doctor", dataset, "--episodes", "7:9") == 2
+    assert "possible: 0 to 2" in capsys.readouterr().err
+
+
+def test_shards_and_resumed_runs_leave_the_bytes_of_one_run(dataset: Path, tmp_path: Path, run_cli: Any) -> None:
+    typed = ("doctor", dataset, "--delay", "off", "-o")
+    assert run_cli(*typed, tmp_path / "whole") == 0
+    whole = tree(tmp_path / "whole")
+    assert {"results.jsonl", "junit.xml", "report.html", "dataset.json"} <= whole.keys()
+    for shard in ("1/2", "2/2"):
+        assert run_cli(*typed, tmp_path / "shards", "--shard", shard) == 0
+    assert tree(tmp_path / "shards") == whole
+    (tmp_path / "whole" / "arm_1" / "row.json").unlink()
+    kept = (tmp_path / "whole" / "arm_0" / "row.json").stat().st_mtime_ns
+    assert run_cli(*typed, tmp_path / "whole", "--resume") == 0
+    assert tree(tmp_path / "whole") == whole
+    assert (tmp_path / "whole" / "arm_0" / "row.json").stat().st_mtime_ns == kept
+
+
+@pytest.mark.parametrize("damaged", ["table", "video"])
+def test_a_damaged_file_gives_a_row_that_says_so(dataset: Path, tmp_path: Path, run_cli: Any, damaged: str) -> None:
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    pattern = "**/episode_000001.parquet" if damaged == "table" else "**/episode_000001.mp4"
+    (file,) = copy.glob(pattern)
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 3])
+    code = run_cli("doctor", copy, "-o", tmp_path / "out", "--delay", "off")
+    rows = [json.loads(text) for text in (tmp_path / "out/results.jsonl").read_text().splitlines()]
+    codes = [row["exit_code"] for row in rows]
+    assert codes == ([0, 65, 0] if damaged == "table" else [0, 3, 0])
+    assert code == codes[1]
+    said = rows[1]["error"] or " ".join(text for severity, text in rows[1]["findings"] if severity == "lost")
+    assert "episode_000001" in said
+
+
+def test_a_broken_bound_ends_with_4_and_is_a_failure(dataset: Path, tmp_path: Path, run_cli: Any) -> None:
+    bounds = ("--fail-if", "repeated/top>0.5", "--fail-if", "episodes<4")
+    assert run_cli("doctor", dataset, "-o", tmp_path / "out", "--delay", "off", *bounds) == 4
+    suite = ET.parse(tmp_path / "out/junit.xml").getroot()
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "4", "0")
+    assert run_cli("doctor", dataset, "--delay", "off", "--fail-if", "repeated/top>1.5") == 0
+
+
+def test_a_bound_that_no_episode_measures_is_refused(dataset: Path, run_cli: Any, capsys: Any) -> None:
+    assert run_cli("doctor", dataset, "--delay", "off", "--fail-if", "delay/side>0.1") == 2
+    assert "no episode has this score" in capsys.readouterr().err
+
+
+def test_page_and_table_are_written_without_a_folder(dataset: Path, tmp_path: Path, run_cli: Any) -> None:
+    page, table = tmp_path / "report.html", tmp_path / "episodes.csv"
+    assert run_cli("doctor", dataset, "--delay", "off", "-o", page, "--csv", table) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["episodes.csv", "report.html"]
+    text = page.read_text()
+    assert "arm_2" in text and "<svg" in text and "wrist" in text
+    lines = table.read_text().splitlines()
+    assert len(lines) == 1 + COUNT and "repeated/top" in lines[0]
+
+
+def test_an_episode_that_is_a_copy_is_named(dataset: Path, tmp_path: Path, run_cli: Any, capsys: Any) -> None:
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    tables = copy / "data/chunk-000"
+    arm_dataset.write_episode(copy, 1, _first(dataset))
+    assert len(list(tables.iterdir())) == COUNT
+    assert run_cli("doctor", copy, "--delay", "off") == 0
+    assert "copy_0 and copy_1 are the same episode" in capsys.readouterr().out
+
+
+def _first(dataset: Path) -> arm_dataset.Episode:
+    rows = 40
+    angles = arm_dataset.motion(0)(np.arange(rows) / arm_dataset.FPS)
+    return arm_dataset.Episode(angles, angles, np.full((rows, 32, 48, 3), 90, np.uint8))
+
+
+def test_statistics_that_do_not_match_are_named(dataset: Path, tmp_path: Path, run_cli: Any, capsys: Any) -> None:
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    wrong = {"min": [0.0] * 3, "max": [0.1] * 3, "mean": [0.05] * 3, "std": [0.01] * 3, "count": [40]}
+    row = {"episode_index": 2, "stats": {"observation.state": wrong}}
+    (copy / "meta/episodes_stats.jsonl").write_text(json.dumps(row) + "\n")
+    assert run_cli("doctor", copy, "--delay", "off") == 0
+    assert "does not match the data: observation.state of episode 2" in capsys.readouterr().out
+
+
+def test_options_of_datasets_are_refused_of_one_log(dataset: Path, tmp_path: Path, run_cli: Any) -> None:
+    assert run_cli("doctor", f"{dataset}#0", "--csv", tmp_path / "x.csv") == 2
+    assert run_cli("doctor", dataset, "--resume") == 2
