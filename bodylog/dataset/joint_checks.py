@@ -177,9 +177,9 @@ def measure_jumps(reading: EpisodeReading) -> Iterator[Measurement]:
         found = jumps(joints.t[finite], y[finite]) if finite.sum() > 2 else []
         text = ""
         if found:
-            at, size = found[0]
+            at, size, std = found[0]
             more = f", and {len(found) - 1} more" if len(found) > 1 else ""
-            text = f"{name}: jumps by {size:.3g} rad at {joints.t[finite][at]:.2f} s{more}"
+            text = f"{name}: jumps by {size:.3g} ± {std:.1g} rad at {joints.t[finite][at]:.2f} s{more}"
         yield Measurement(name, float(len(found)), None, text)
 
 
