@@ -29,7 +29,7 @@ def learned():
 
 def test_random_postures_keep_to_the_limits(learned):
     postures = random_postures(learned, LIMITS)
-    samples = np.concatenate([one.samples for one in kinematic_senses(learned).values()])
+    samples = np.concatenate([one.samples for one in kinematic_senses(learned, "a calibration").values()])
     for m, joint in enumerate(JOINTS):
         limit = LIMITS.get(joint, SimpleNamespace(lower=samples[:, m].min(), upper=samples[:, m].max()))
         assert limit.lower <= postures[:, m].min() and postures[:, m].max() <= limit.upper
@@ -39,7 +39,7 @@ def test_random_postures_keep_to_the_limits(learned):
 def test_proposed_postures_lower_the_error_more_than_random_ones(learned):
     candidates = random_postures(learned, LIMITS)
     found = propose(learned, 4, candidates)
-    senses = kinematic_senses(learned)
+    senses = kinematic_senses(learned, "a calibration")
     assert len({tuple(one) for one in found.postures.tolist()}) == 4
     for posture in found.postures:
         assert any(visible(learned, sense, posture[None])[0] for sense in senses.values())
@@ -49,7 +49,8 @@ def test_proposed_postures_lower_the_error_more_than_random_ones(learned):
 
 
 def _seen(learned, posture):
-    return any(visible(learned, sense, posture[None])[0] for sense in kinematic_senses(learned).values())
+    senses = kinematic_senses(learned, "a calibration").values()
+    return any(visible(learned, sense, posture[None])[0] for sense in senses)
 
 
 def test_postures_out_of_sight_are_refused(learned):
