@@ -310,3 +310,20 @@ def test_a_fault_that_ends_has_an_end(world, seed):
     assert "pan: encoder is frozen 8.0 to 11.0 s" in of_estimate(found, ())
     (warning,) = fault_warnings([fault])
     assert warning.text.startswith("encoders pan: frozen 8.020 to 11.000 s")
+
+
+@pytest.mark.parametrize(("offset", "jumped"), [("pan", "elbow"), ("elbow", "pan")])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_two_faults_on_two_joints_are_named_by_kind_and_size(world, offset, jumped, seed):
+    drawn = world(seed, duration=16.0, encoder_std=0.005, camera_hz=20.0)
+    joints = drawn.features.joints
+    values = joints.values.copy()
+    values[:, joints.names.index(offset)] += 0.03
+    values[joints.t >= 8.0, joints.names.index(jumped)] += 0.06
+    features = replace(drawn.features, joints=replace(joints, values=values))
+    faults = {fault.name: fault for fault in estimate(features, drawn.body, Estimation()).faults}
+    assert faults.keys() == {offset, jumped}
+    assert (faults[offset].kind, faults[jumped].kind) == ("drifting", "jumping")
+    assert faults[offset].since < 1.0 and faults[jumped].since == pytest.approx(8.0, abs=0.05)
+    for name, size in ((offset, 0.03), (jumped, 0.06)):
+        assert faults[name].size == pytest.approx(size, abs=0.002)

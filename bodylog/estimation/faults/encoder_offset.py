@@ -58,7 +58,51 @@ def choose(
         found, nats = _weighed(_with_way(ways[joint], joint, near), compared), ways[joint].nats
         # once one offset is modelled, another may show
         suspected = (_walks(found) == 0) & ~np.isin(np.arange(len(suspected)), list(found.alternatives))
-    return found
+    if len(found.alternatives) < 2:
+        return found
+    return _chosen_again(problem, found, nats, solved, cost, tuned)
+
+
+def _chosen_again(
+    problem: Problem,
+    found: Problem,
+    nats: float,
+    solved: Solution,
+    cost: Callable[[Problem], float],
+    tuned: Callable[[Problem], Problem],
+) -> Problem:
+    """Each of several offsets anew, given the others, if all of them together then cost less.
+
+    The first was chosen while the others were unknown, and may have taken up part of them.
+    """
+    again = found
+    again_nats = nats
+    for joint, others in found.alternatives.items():
+        way = _best_way(_without_offset(problem, again, joint), joint, solved, cost, tuned)
+        again = _with_way(way, joint, [joint, *others])
+        again_nats = way.nats
+    return again if again_nats < nats else found
+
+
+def _without_offset(problem: Problem, found: Problem, joint: int) -> Problem:
+    """The problem with the offsets found but for one joint's, whose readings are as they were."""
+    assert problem.evidence.encoders is not None and found.evidence.encoders is not None
+    own = np.arange(len(problem.start)) == joint
+    values = np.where(own, problem.evidence.encoders.values, found.evidence.encoders.values)
+    name = problem.evidence.joints[joint]
+    known = problem.evidence.faults
+    kept = [
+        fault
+        for fault in found.evidence.faults
+        if fault in known or fault.name.partition(EITHER)[0] != name
+    ]
+    encoders = replace(found.evidence.encoders, values=values)
+    evidence = replace(found.evidence, encoders=encoders, faults=tuple(kept))
+    alternatives = {j: others for j, others in found.alternatives.items() if j != joint}
+    return with_drift(
+        replace(found, evidence=evidence, alternatives=alternatives),
+        np.where(own, _walks(problem), _walks(found)),
+    )
 
 
 def _near(costs: Mapping[int, float]) -> list[int]:
