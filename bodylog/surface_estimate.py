@@ -34,6 +34,8 @@ LEAST_SIGMA = 4.0
 """Standard deviations from zero of an offset that is a fault."""
 LEAST_OFFSET = 0.006
 """rad (m: a tenth): smaller offsets are within what two logs of a sound robot differ by, 0.3°."""
+_SLIDES_BELOW = 0.05
+"""Prior standard deviation of a zero below which it is in m: that of a sliding joint is a tenth."""
 _SAME_PICTURE_PX = 1.5
 """Shift of the still scene, px of the full image, within which a camera did not move."""
 _LEAST_ALIKE = 0.9
@@ -161,7 +163,7 @@ def picture_shift(before: Array, after: Array | None, width: int) -> float | Non
 
 def _with_judgement(found: Estimate, one: Judged, learned: BodyModel) -> Estimate:
     """An estimate with one camera's delay, faults and remarks, and an offset taken off."""
-    from .evaluation.figures import MEASURED_DELAYS
+    from .evaluation.figures import LEAST_OFFSETS, MEASURED_DELAYS
 
     assert learned.surface is not None
     seconds, std = one.delay
@@ -177,11 +179,7 @@ def _with_judgement(found: Estimate, one: Judged, learned: BodyModel) -> Estimat
     findings = list(found.findings)
     if blind:
         findings.append(Finding("info", f"{one.camera}: offsets not identifiable: {', '.join(blind)}"))
-    sure = [change for change in one.changes if change.beforehand and names[change.name] in one.identifiable]
-    if sure:
-        least = [f"{names[change.name]} {LEAST_SIGMA * change.std:.3g}" for change in sure]
-        text = "smaller offsets than these, rad or m, would not be found, and no error bar holds them"
-        findings.append(Finding("info", f"{one.camera}: {text}: {', '.join(least)}"))
+    settings[LEAST_OFFSETS] = _least_offsets(one, learned, names, settings.get(LEAST_OFFSETS, {}))
     if one.shift is not None and one.shift > _SAME_PICTURE_PX:
         text = f"its still scene lies {one.shift:.1f} px beside that of the body: scene or camera moved"
         findings.append(Finding("info", f"{one.camera}: {text}"))
@@ -191,6 +189,31 @@ def _with_judgement(found: Estimate, one: Judged, learned: BodyModel) -> Estimat
         return result
     result = replace(result, faults=(*found.faults, fault))
     return result if change is None else _without_offset(result, fault)
+
+
+def _least_offsets(
+    one: Judged, learned: BodyModel, names: Mapping[str, str], by_others: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The smallest offset of each joint that any camera would show: {"value", "unit"}; None where none would."""
+    shown = {
+        names[change.name]: {
+            "value": _least_offset(change),
+            "unit": "m" if change.beforehand < _SLIDES_BELOW else "rad",
+        }
+        for change in one.changes
+        if change.beforehand and names[change.name] in one.identifiable
+    }
+    least = dict[str, Any]()
+    for name in learned.joints:
+        told = [each[name] for each in (by_others, shown) if each.get(name) is not None]
+        least[name] = min(told, key=lambda each: float(each["value"]), default=None)
+    return least
+
+
+def _least_offset(change: "Change") -> float:
+    """The smallest offset, rad or m, that counts as a fault."""
+    slides = change.beforehand < _SLIDES_BELOW
+    return max(LEAST_SIGMA * change.std, LEAST_OFFSET * (0.1 if slides else 1.0))
 
 
 def _fault(one: Judged, found: Estimate, learned: BodyModel) -> "tuple[Fault | None, Change | None]":
@@ -210,12 +233,10 @@ def _fault(one: Judged, found: Estimate, learned: BodyModel) -> "tuple[Fault | N
         return Fault("encoders", EITHER.join(alike), "offset", since, float("nan"), "rad"), None
     if best.name == CAMERA:
         return Fault("vision", one.camera, "moved", since, float("nan"), "m"), None
-    slides = best.beforehand < 0.05
-    least = max(LEAST_SIGMA * best.std, LEAST_OFFSET * (0.1 if slides else 1.0))
-    if abs(best.value) < least or names[best.name] not in one.identifiable:
+    if abs(best.value) < _least_offset(best) or names[best.name] not in one.identifiable:
         return None, None
     # a reading that is too large by x needs a zero that is smaller by x
-    unit = "m" if slides else "rad"
+    unit = "m" if best.beforehand < _SLIDES_BELOW else "rad"
     return Fault("encoders", names[best.name], "offset", since, -best.value, unit, best.std), best
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .evaluation.figures import FIRST, MEASURED_DELAYS, MISFIT, doubtful_delays
+from .evaluation.figures import FIRST, LEAST_OFFSETS, MEASURED_DELAYS, MISFIT, doubtful_delays
 from .fault_findings import span_text
 from .score_names import split
 from .types import EITHER, LASTING_ERROR, Estimate, Fault, Score
@@ -161,8 +161,22 @@ def _agreement(found: Estimate) -> str:
     text = f"no fault found in {listed or 'any sense'}"
     if not found.can.repairs:
         return f"{text}; {found.method} does not look for encoder offsets"
+    if limits := found.settings.get(LEAST_OFFSETS):
+        return f"{text}; {_least_offsets(limits)}"
     judged = isinstance(found.settings.get(MEASURED_DELAYS), Mapping) and found.settings[MEASURED_DELAYS]
     return text if tracks or judged else f"{text}; without images, an encoder offset cannot be found"
+
+
+def _least_offsets(limits: Mapping[str, Any]) -> str:
+    """Which offsets the robot's surface would not show: no error bar holds them."""
+    shown = [
+        f"{joint} {quantity(float(one['value']), None, one['unit'])}" for joint, one in limits.items() if one
+    ]
+    blind = [joint for joint, one in limits.items() if not one]
+    parts = [f"of {', '.join(blind)} none would be found"] if blind else []
+    if shown:
+        parts.insert(0, f"smaller offsets than {', '.join(shown)} would not be found")
+    return f"error bars hold no offset: {'; '.join(parts)}"
 
 
 def _error(found: Estimate, scores: Sequence[Score]) -> Iterator[str]:

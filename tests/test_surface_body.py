@@ -167,3 +167,5 @@ def test_rendered_arm_teaches_a_body_that_judges_another_log(worlds, run_cli, tm
     delay = entry["scores"]["delay/camera"]
     assert abs(delay["value"]) < max(0.003, 2.0 * delay["std"])
     assert not entry["faults"]
+    (line,) = [text for text in entry["verdict"] if "no fault found" in text]
+    assert "error bars hold no offset: smaller offsets than " in line and "none would be found" in line

@@ -145,3 +145,12 @@ def test_batch_verdict_counts_outcomes_and_names_the_worst() -> None:
         "3 logs: 2 passed, 1 unusable",
         "error (RMSE): median 0.02 rad (1.15°), largest 0.03 rad (1.72°) in b",
     )
+
+
+def test_verdict_by_the_surface_says_which_offsets_it_would_not_find() -> None:
+    settings = {"least_offsets": {JOINTS[0]: {"value": 0.1, "unit": "rad"}, JOINTS[1]: None}}
+    (line,) = [text for text in of_estimate(replace(SOUND, settings=settings), ()) if "no fault found" in text]
+    assert line.endswith(
+        "; error bars hold no offset: "
+        f"smaller offsets than {JOINTS[0]} 0.1 rad (5.73°) would not be found; of {JOINTS[1]} none would be found"
+    )

@@ -19,6 +19,9 @@ CAMERA = "camera"
 """Name of the first camera, whose tracks are named plainly."""
 MEASURED_DELAYS = "delay_measured"
 """Key of an estimate's settings: {camera: seconds, std_error, doubt (why it is not applied, or ""), evident}."""
+LEAST_OFFSETS = "least_offsets"
+"""Key of an estimate's settings by the robot's surface: {joint: smallest offset, in `unit`, that it would show, or None
+where it shows none}."""
 MISFIT = "misfit"
 """Key of an estimate's settings where the log does not fit the body: text, share off, explanation or None."""
 
