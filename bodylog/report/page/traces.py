@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...overlay_style import OTHER, measured
-from ...types import Array, Estimate, Features, Recording, Series
+from ...types import EITHER, Array, Estimate, Features, Recording, Series
 
 JOINTS, TRACKS, COLUMNS, EVENTS = 24, 12, 32, 2000
 """Most joints, tracks, lines of one panel, and touches or strokes drawn."""
@@ -61,7 +61,14 @@ def _beliefs(recording: Recording, estimate: Estimate) -> Iterator[Panel]:
         yield Panel(f"{sense}: prediction error, standard deviations", _columns(errors, "dots"), shade=(-2.0, 2.0))
     yield Panel("free energy, nats", (Trace("free energy", "c0", estimate.joints.t, estimate.free_energy),))
     if estimate.bias is not None:
-        yield Panel(f"encoder offset, {estimate.bias.unit}", _columns(estimate.bias))
+        yield Panel(f"encoder offset, {estimate.bias.unit}", _offsets(estimate, estimate.bias))
+
+
+def _offsets(estimate: Estimate, offsets: Series) -> tuple[Trace, ...]:
+    """The offsets of joints that faults name, or of all where none is named: a cause has one story on the page."""
+    faults = (fault.name for fault in estimate.faults if fault.sense == "encoders")
+    named = {joint for name in faults for joint in name.split(EITHER)} & set(offsets.names)
+    return tuple(trace for trace in _columns(offsets) if trace.name in named or not named)
 
 
 def _joint(recording: Recording, estimate: Estimate, m: int) -> Iterator[Panel]:
