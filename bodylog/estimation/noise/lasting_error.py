@@ -239,7 +239,8 @@ def _by_evidence(pieces: Sequence[Residuals]) -> LastingError | None:
     # play looks like a delay in part: what decides allows for one, the size of the error does not
     timely = [replace(piece, delayed=np.zeros_like(piece.delayed)) for piece in pieces]
     (*_, std, tau), _ = _least(lambda p: _nats(timely, *_split(p)), found, _LIMITS)
-    return LastingError(float(np.exp(std)), float(np.exp(tau)), none - nats)
+    # a process that outlasts the log may be larger than any error in it, which the residuals bound
+    return LastingError(min(float(np.exp(std)), _size(pieces)), float(np.exp(tau)), none - nats)
 
 
 def _split(p: Array) -> tuple[Array, float, float]:
