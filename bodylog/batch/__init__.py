@@ -10,7 +10,7 @@ from ..io.atomic_files import writable
 from ..io.outputs import Output, guard
 from ..settings import Settings
 from . import folders, jobs, local, results, resume, work
-from .jobs import ESTIMATE, Job, Row
+from .jobs import ESTIMATE, EXAMINE, Job, Row
 
 Report = Callable[[Row, int, int], None]
 """Called with each finished row, the number of finished rows and the number of all rows."""
@@ -93,7 +93,8 @@ def _planned(plan: Plan) -> tuple[list[Job], set[str]]:
     bodies = [path for group in plan.groups for path in (group.body, *group.train) if path is not None]
     guard([*plan.inputs, *read, *bodies], [Output(plan.out, folder=True)])
     writable(plan.out, folder=True)
-    folders.check(plan.out, ())
+    examines = any(group.task == EXAMINE for group in plan.groups)
+    folders.check(plan.out, (), folders.WRITTEN if examines else folders.SUMMARIES)
     for group, found in zip(plan.groups, logs, strict=True):
         folders.check(plan.out / group.name, [plan.out / group.name / name for name in found])
         if group.train:

@@ -39,6 +39,8 @@ _BEGIN = {
 }
 """First bytes of the files that earlier versions left in unmarked folders."""
 _LONGEST = 200
+WRITTEN = (*SUMMARIES, PAGE, DATASET)
+"""Files that an examination of a dataset may write into its folder."""
 TAKEN = frozenset((*SUMMARIES, *BODY, PAGE, DATASET))
 """Names in a batch's folder that no log's folder may have."""
 
@@ -67,11 +69,12 @@ def _digest(log: str) -> str:
     return hashlib.sha256(log.encode(errors="surrogateescape")).hexdigest()
 
 
-def check(folder: Path, results: Iterable[Path]) -> None:
-    """UsageError if a batch into `folder`, with the logs' folders `results`, would replace files of others."""
+def check(folder: Path, results: Iterable[Path], written: Iterable[str] = SUMMARIES) -> None:
+    """UsageError if a batch into `folder`, with the logs' folders `results`, would replace files of
+    others; `written` are the names of the files that it writes into `folder`."""
     _no_file(folder)
     if not (folder / BATCH).is_file():
-        for path in (folder / name for name in SUMMARIES):
+        for path in (folder / name for name in written):
             if path.exists() and not _left_by_a_batch(path):
                 raise UsageError(f"{path}: no batch wrote this file, and it would be replaced; type another -o")
     for path in results:
@@ -89,8 +92,8 @@ def _left_by_a_batch(path: Path) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as stream:
-        begin = stream.read(len(_BEGIN[path.name]))
-    return begin in (b"", _BEGIN[path.name])
+        begin = stream.read(len(_BEGIN.get(path.name, b"")))
+    return path.name in _BEGIN and begin in (b"", _BEGIN[path.name])
 
 
 def is_result(folder: Path) -> bool:

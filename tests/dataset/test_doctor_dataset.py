@@ -132,3 +132,13 @@ def test_statistics_that_do_not_match_are_named(dataset: Path, tmp_path: Path, r
 def test_options_of_datasets_are_refused_of_one_log(dataset: Path, tmp_path: Path, run_cli: Any) -> None:
     assert run_cli("doctor", f"{dataset}#0", "--csv", tmp_path / "x.csv") == 2
     assert run_cli("doctor", dataset, "--resume") == 2
+
+
+@pytest.mark.parametrize("name", ["report.html", "dataset.json"])
+def test_a_file_that_no_examination_wrote_is_not_replaced(
+    dataset: Path, tmp_path: Path, run_cli: Any, name: str
+) -> None:
+    (tmp_path / name).write_text("mine")
+    assert run_cli("doctor", dataset, "--delay", "off", "-o", tmp_path) == 2
+    assert (tmp_path / name).read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
