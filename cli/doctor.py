@@ -80,7 +80,7 @@ def doctor(
     logs: tuple[Path, ...], repair: Path | None, body: Path | None, urdf: str | None,
     common: Common, as_json: bool, **typed: Any,
 ) -> int:  # fmt: skip
-    """Find what is wrong with a log, and repair it; or whether a dataset is fit to learn from.
+    """Examine a log or a dataset, and repair a log.
 
     It measures the delay of images relative to the joints in the middle minute of the log; --delay off skips this.
 

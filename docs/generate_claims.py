@@ -230,7 +230,7 @@ if __name__ == "__main__":
     if rubber := figures(out, "Rubber-hand"):
         parts[DOCS / "rubber-hand.md"] = {DRIFT: drift(rubber)}
     if baseline := figures(out, "Baselines"):
-        parts[DOCS.parent / "README.md"] = {BASELINES: baselines(baseline)}
+        parts[PAGE][BASELINES] = baselines(baseline)
     for path, marked in parts.items():
         text = path.read_text(encoding="utf-8")
         for marks, part in marked.items():
