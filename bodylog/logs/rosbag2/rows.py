@@ -3,17 +3,13 @@
 import sqlite3
 import time
 from array import array
-from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from ...errors import FormatError
 from ..diagnostics import Diagnostics
 from ..records import Array
-from .pages import Pages
-from .pages import Rows as PageRows
 
 DAMAGE = (sqlite3.Error, UnicodeError)
 """Exceptions of SQLite for a damaged file."""
@@ -54,40 +50,15 @@ class Block(NamedTuple):
 class Rows:
     """The table of messages; losses go to the diagnostics."""
 
-    def __init__(self, store: sqlite3.Connection, diagnostics: Diagnostics, pages: Pages | None = None) -> None:
-        """For an open database, and its pages if they can be read directly."""
-        self._store, self._diagnostics, self._pages = store, diagnostics, pages
-
-    def survey(self) -> tuple[dict[int, int], int, int] | None:
-        """Messages by topic id in the file, first and last log time (ns), of rows that are kept for `blocks`.
-
-        None for a database that is long, damaged, or not laid out as rosbag2 does.
-        """
-        if self._pages is None or not self._pages.short:
-            return None
-        try:
-            found = list(self._pages.rows())
-        except FormatError:
-            return None
-        counts: Counter[int] = Counter()
-        for some in found:
-            numbers, times = np.unique(some.topic, return_counts=True)
-            counts.update(dict(zip(numbers.tolist(), times.tolist(), strict=True)))
-        ends = [int(ns) for some in found for ns in (some.log_ns.min(), some.log_ns.max())]
-        return dict(counts), min(ends, default=0), max(ends, default=0)
+    def __init__(self, store: sqlite3.Connection, diagnostics: Diagnostics) -> None:
+        """For an open database."""
+        self._store = store
+        self._diagnostics = diagnostics
 
     def blocks(self, wanted: Collection[int] | None) -> Iterator[Block]:
         """The rows of these topics in the order stored; unreadable rows are skipped and recorded as losses."""
         chosen = "" if wanted is None else f"AND topic_id IN ({','.join(str(int(number)) for number in wanted)})"
         count, largest, low = _FIRST_ROWS, 1, _LOWEST
-        if self._pages is not None:
-            try:
-                for some in self._pages.rows():
-                    yield from _chosen(some, self._pages.data, wanted)
-                    low = int(some.rowid[-1])
-                return
-            except FormatError:
-                pass  # SQLite continues from there
         try:
             cursor = self._store.execute(_SELECT.format(_COLUMNS, chosen), (low,))
             while rows := cursor.fetchmany(count):
@@ -183,11 +154,3 @@ def _block(rows: list[Row], low: int) -> Block | None:
         return None
     length = np.fromiter(map(len, payloads), np.int64, len(payloads))
     return Block(topic, log_ns, data, np.cumsum(length) - length, length)
-
-
-def _chosen(rows: PageRows, data: Array, wanted: Collection[int] | None) -> Iterator[Block]:
-    """The rows of these topics, if there are any."""
-    if wanted is None:
-        yield Block(rows.topic, rows.log_ns, data, rows.offset, rows.length)
-    elif (of := np.isin(rows.topic, list(wanted))).any():
-        yield Block(rows.topic[of], rows.log_ns[of], data, rows.offset[of], rows.length[of])

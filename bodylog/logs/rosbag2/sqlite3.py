@@ -9,21 +9,18 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ...errors import FormatError, LogError
+from ...errors import LogError
 from ...io.temporary import scratch
 from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Batch, Finding, Topic
-from ..storage.mmapped import mapped
 from ..storage.packed_files import decompress_messages
 from ..topics import Topics, normalised, span, split
-from .pages import Pages
 from .rows import DAMAGE, Block, Rows, interrupted
 
 _ENDS = ("min", "max")
 _FEW_TOPICS = 8
 _LARGEST = 1 << 30
-_COLUMNS = ("id", "topic_id", "timestamp", "data")
 _TABLES = ("topics", "messages", "message_definitions")
 _STEPS = 1_000_000
 """SQLite's virtual machine steps, a few milliseconds, between checks for Python signals."""
@@ -38,10 +35,10 @@ class Db3Log:
         """Open `source` (default: `path`) read only; LogError when it has no topics or messages."""
         self.path = path
         self._diagnostics = Diagnostics(path, strict, limits)
-        self._store, alone = _connect(path, source or path)
+        self._store = _connect(path, source or path)
         try:
             _only_tables(path, self._store)
-            self._rows = Rows(self._store, self._diagnostics, _pages(self._store, source or path) if alone else None)
+            self._rows = Rows(self._store, self._diagnostics)
             named = _topics(self._store)
             counts, *ends = self._survey(list(named))
         except LogError:
@@ -92,8 +89,6 @@ class Db3Log:
 
     def _survey(self, numbers: list[int]) -> tuple[dict[int, int], int, int]:
         """Messages by topic id in the file, first and last log time (ns)."""
-        if (found := self._rows.survey()) is not None:
-            return found
         try:
             counts = self._counts(numbers)
             if self._store.execute("PRAGMA index_list(messages)").fetchall():  # two look-ups instead of a scan
@@ -122,12 +117,12 @@ class Db3Log:
         return dict(self._store.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
 
 
-def _connect(path: Path, source: Path) -> tuple[sqlite3.Connection, bool]:
-    """The database, and whether all of it is in that one file."""
+def _connect(path: Path, source: Path) -> sqlite3.Connection:
+    """The database; rows that its write-ahead log or journal holds are read from a copy."""
     pending = [beside for end in ("-wal", "-journal") if (beside := source.with_name(source.name + end)).is_file()]
     if not any(beside.stat().st_size for beside in pending):
         address = f"file:{quote(os.fsencode(source.resolve()))}?mode=ro&immutable=1"
-        return _opened(address, source.stat().st_size), True
+        return _opened(address, source.stat().st_size)
     needed = sum(part.stat().st_size for part in (source, *pending))
     with scratch() as folder:
         if shutil.disk_usage(folder).free < 2 * needed:
@@ -136,19 +131,7 @@ def _connect(path: Path, source: Path) -> tuple[sqlite3.Connection, bool]:
             shutil.copyfile(part, folder / part.name)
         store = _opened(f"file:{quote(os.fsencode(folder))}/{quote(os.fsencode(source.name))}?mode=rw", 2 * needed)
         store.execute("SELECT count(*) FROM sqlite_master").fetchall()
-        return store, False
-
-
-def _pages(store: sqlite3.Connection, source: Path) -> Pages | None:
-    """The pages of the table of messages; None if its columns are not those of rosbag2."""
-    columns = [(name, kind.upper(), key) for _, name, kind, _, _, key in store.execute("PRAGMA table_info(messages)")]
-    found = store.execute("SELECT rootpage FROM sqlite_master WHERE lower(name) = 'messages'").fetchone()
-    if found is None or tuple(name for name, _, _ in columns) != _COLUMNS or columns[0][1:] != ("INTEGER", 1):
-        return None
-    try:
-        return Pages(mapped(source), found[0])
-    except FormatError:
-        return None
+        return store
 
 
 def _opened(address: str, size: int) -> sqlite3.Connection:
