@@ -54,7 +54,9 @@ def _raise_on_signals() -> None:
     """Let signals end the command, apart from those that its caller ignores."""
     from bodylog.runtime import signals
 
-    plain = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
+    plain = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    if hasattr(signal, "SIGHUP"):  # not on Windows
+        plain[signal.SIGHUP] = signal.SIG_DFL
     signals.raise_on_signal(*(number for number, default in plain.items() if signal.getsignal(number) is default))
 
 

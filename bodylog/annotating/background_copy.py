@@ -1,6 +1,5 @@
 """Read a log once in the background to digest it and copy its unchanged part."""
 
-import fcntl
 import hashlib
 import os
 import struct
@@ -145,6 +144,8 @@ class _Target:
         size = end // _BLOCK * _BLOCK
         if sys.platform != "linux" or not size:
             return 0
+        import fcntl
+
         with source.open("rb") as stream:
             try:
                 fcntl.ioctl(self._plain, _FICLONERANGE, struct.pack("=qQQQ", stream.fileno(), 0, size, 0))

@@ -1,6 +1,5 @@
 """The folders of a batch: marked by it, so that it replaces only its own files."""
 
-import fcntl
 import hashlib
 import json
 import os
@@ -8,12 +7,13 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import OutputError, UsageError
 from ..io import episodes, remote
 from ..io.atomic_files import ensure_dir
+from ..io.locks import lock_handle
 from ..io.values import read_json
 
 BATCH = ".bodylog-batch"
@@ -160,6 +160,5 @@ def alone(folder: Path, name: str) -> Iterator[None]:
     On file systems without locks nobody waits: each file is written atomically, and results are read again afterwards.
     """
     with (folder / name).open("a") as lock:
-        with suppress(OSError):
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        lock_handle(lock.fileno(), wait=True)
         yield

@@ -1,7 +1,6 @@
 """Temporary files and folders: unique names, locked while in use, removed however the process ends."""
 
 import _thread
-import fcntl
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -10,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from ..runtime import signals
+from .locks import lock_handle
 
 PART = ".bodylog.part"
 """Suffix of half-written files."""
@@ -63,9 +63,9 @@ def remove_killed(*folders: Path) -> None:
 @contextmanager
 def try_lock(path: Path) -> Iterator[bool]:
     """Lock a file or folder for the `with` block, at most for this process's life; False if another holds it."""
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     try:
-        yield _lock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield lock_handle(handle, wait=False)
     finally:
         os.close(handle)
 
@@ -83,9 +83,10 @@ def machine() -> str:
     """Eight hex digits that identify the kernel, and so all processes and containers whose locks are visible here."""
     with suppress(OSError):
         return _BOOT.read_text()[:8]
+    from socket import gethostname
     from zlib import crc32
 
-    return f"{crc32(os.uname().nodename.encode()):08x}"
+    return f"{crc32(gethostname().encode()):08x}"
 
 
 @contextmanager
@@ -100,7 +101,7 @@ def _claimed(name: Callable[[str], Path], make: Callable[[Path], int | None]) ->
             if handle is None:
                 continue
             try:
-                _lock(handle, fcntl.LOCK_EX)
+                lock_handle(handle, wait=True)
                 if not _same(path, handle):
                     continue
                 yield path
@@ -139,19 +140,15 @@ def _same(path: Path, handle: int) -> bool:
         return False
 
 
-def _lock(handle: int, how: int) -> bool:
-    """Whether it is now locked; always True where files cannot be locked, so nothing is removed there."""
-    try:
-        fcntl.flock(handle, how)
-        return True
-    except OSError:
-        return False
-
-
 def _ours(path: Path) -> bool:
     found = path.lstat()
     here = machine() in path.name or time.time() - found.st_mtime > FOREIGN_S
-    return here and found.st_uid == os.geteuid()
+    return here and found.st_uid == _user()
+
+
+def _user() -> int:
+    """The number of this process's user; 0, as of every file, where the system has none."""
+    return os.geteuid() if hasattr(os, "geteuid") else 0
 
 
 def _remove(path: Path) -> None:

@@ -35,6 +35,9 @@ def _end_with_parent() -> None:
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Block interrupts while processes are started, which inherit the block: they would print a traceback."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
