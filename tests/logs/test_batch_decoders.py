@@ -1,4 +1,4 @@
-"""JSON and protobuf messages of equal layout, read at once: the same values as one by one."""
+"""JSON members alone, and protobuf messages of equal layout at once: the same values as whole messages one by one."""
 
 import json
 import random
@@ -33,6 +33,7 @@ def assert_the_same(messages, of, fields, monkeypatch, least=0):
     together = column_by_column(messages, of, fields)
     with monkeypatch.context() as slowly:
         slowly.setattr(batch_decoders, "_FEW", 1 << 60)
+        slowly.setattr(batch_decoders.JsonBatchDecoder, "take", lambda self, batch: iter(()))
         alone = column_by_column(messages, of, fields)
     for field in fields:
         assert repr(together[field]) == repr(alone[field]), field

@@ -1,4 +1,4 @@
-"""Group the JSON or protobuf messages of a batch by layout and decode each group at once; layouts are reused."""
+"""Decode the JSON or protobuf messages of a batch together; what is unlike the others is left."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -7,8 +7,8 @@ import numpy as np
 
 from ...errors import FormatError
 from ..records import Array, Batch, Topic
-from .json_layouts import JsonLayout, mark_runs, skeleton
 from .message_path import Step
+from .object_places import shaped
 from .protobuf import root_of
 from .protobuf_layouts import ProtobufLayout
 
@@ -18,9 +18,6 @@ _MOST_LAYOUTS = 64
 _FEW = 4
 """So few messages decode faster one by one."""
 
-_BETWEEN, _WIDEST_GAP = b"\n", 64
-"""Overwrites up to so many bytes between two payloads."""
-
 Found = Iterator[tuple[Array, list[Any]]]
 """Indices (m,) of messages in a batch and, by path, their values (m,), (m,K) or texts."""
 
@@ -28,73 +25,72 @@ _UNLIKE = (FormatError, KeyError, ValueError, TypeError, RecursionError)
 
 
 class JsonBatchDecoder:
-    """Decodes JSON messages at once that differ only in numbers."""
+    """Decodes only those members of JSON objects at which message paths begin, for a batch at once."""
 
     def __init__(self, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]) -> None:
-        """Start without a known layout."""
-        self._paths, self._single = paths, single
-        self._known: dict[bytes, JsonLayout | None] = {}
+        """For message paths; none is read together if one does not begin with a member."""
+        import msgspec
+
+        self._paths = paths
+        self._single = single
+        self._errors = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
+        members = list(dict.fromkeys(steps[0] for steps in paths if steps and isinstance(steps[0], str)))
+        self._attributes = {member: f"member_{k}" for k, member in enumerate(members)}
+        fields = [(attribute, Any, msgspec.field(name=member)) for member, attribute in self._attributes.items()]
+        self._decode = msgspec.json.Decoder(msgspec.defstruct("Members", fields, gc=False)).decode
 
     def take(self, batch: Batch) -> Found:
-        """Decode the messages that share a layout."""
-        if len(batch.offset) <= _FEW:
-            return
-        content, begin, between = _joined(batch)
-        runs = mark_runs(content)
-        if runs is None:
-            return
-        end = begin + batch.length
-        key = skeleton(content[: end[0]])
-        if len(runs) % len(begin) == 0 and skeleton(content) + between == (key + between) * len(begin):
-            yield from self._read(key, np.arange(len(begin)), content, (begin, end), runs.reshape(len(begin), -1))
-            return
-        groups: dict[bytes, list[int]] = {}
-        for index, (low, high) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
-            groups.setdefault(skeleton(content[low:high]), []).append(index)
-        first, last = np.searchsorted(runs, begin), np.searchsorted(runs, end)
-        for key, some in groups.items():
-            rows = np.array(some)
-            count = last[rows] - first[rows]
-            if len(some) > _FEW and (count == count[0]).all():
-                own = runs[first[rows, None] + np.arange(count[0])]
-                yield from self._read(key, rows, content, (begin[rows], end[rows]), own)
+        """Decode the messages that are strict JSON and have all members, if their values have one shape.
 
-    def _read(self, key: bytes, index: Array, content: bytearray, span: tuple[Array, Array], runs: Array) -> Found:
-        """Decode the messages `index` (m,) of a skeleton if their layouts agree.
-
-        They extend over the bytes `span` (m,), (m,) of `content`, their runs are `runs` (m,2R).
+        What strict JSON lacks (NaN, lone surrogates, UTF-16, numbers beyond floats) is left for the standard library.
         """
-        begin, end = span
-        layout = self._layout(key, content[begin[0] : end[0]], runs[0] - begin[0])
-        values = layout.values(content, begin, runs, self._single) if layout else None
-        if values is not None:
-            yield index, values
-
-    def _layout(self, key: bytes, payload: bytearray, runs: Array) -> JsonLayout | None:
-        if key not in self._known and len(self._known) < _MOST_LAYOUTS:
+        if not all(steps and isinstance(steps[0], str) for steps in self._paths):
+            return
+        index, messages = [], []
+        data = batch.data.data
+        ends = batch.offset + batch.length
+        for row, (begin, end) in enumerate(zip(batch.offset.tolist(), ends.tolist(), strict=True)):
             try:
-                from .object_values import follow
+                messages.append(self._decode(data[begin:end]))
+            except self._errors:
+                continue
+            index.append(row)
+        if not messages:
+            return
+        values: list[Any] = []
+        for steps, single in zip(self._paths, self._single, strict=True):
+            attribute = self._attributes[str(steps[0])]
+            column = _column_of([getattr(message, attribute) for message in messages], steps[1:], single)
+            if column is None:
+                return
+            values.append(column)
+        yield np.array(index), values
 
-                self._known[key] = JsonLayout(bytes(payload), runs, self._paths, follow)
-            except _UNLIKE:
-                self._known[key] = None
-        return self._known.get(key)
 
+def _column_of(values: list[Any], steps: Sequence[Step], single: int | None) -> Array | tuple[str, ...] | None:
+    """The numbers (n,) or (n,K) or equal texts at the end of the steps; None where values must be read one by one."""
+    from .object_values import follow
 
-def _joined(batch: Batch) -> tuple[bytearray, Array, bytes]:
-    """All payloads concatenated, where each begins (n,), and the separator between two of them."""
-    ends = batch.offset + batch.length
-    gaps = batch.offset[1:] - ends[:-1]
-    gap = int(gaps[0])
-    if (gaps == gap).all() and 0 <= gap <= _WIDEST_GAP:  # in place, with the message heads between them overwritten
-        low = int(batch.offset[0])
-        content = bytearray(batch.data[low : int(ends[-1])])
-        if gap:
-            np.ndarray(len(content) - gap, f"V{gap}", content, strides=(1,))[ends[:-1] - low] = np.void(_BETWEEN * gap)
-        return content, batch.offset - low, _BETWEEN * gap
-    data = batch.data.data
-    pieces = [data[a:b] for a, b in zip(batch.offset.tolist(), ends.tolist(), strict=True)]
-    return bytearray().join(pieces), np.cumsum(batch.length) - batch.length, b""
+    try:
+        for step in steps:
+            if not isinstance(step, str):
+                values = [list(follow(value, (step,))) for value in values]
+            else:
+                values = [value[step] for value in values]
+        if isinstance(values[0], dict):
+            values = [next(follow(value, ())) for value in values]
+    except _UNLIKE:
+        return None
+    texts = values[0] if isinstance(values[0], list) else [values[0]]
+    if texts and all(type(text) is str and text.isascii() for text in texts):
+        return tuple(texts) if values.count(values[0]) == len(values) else None
+    try:
+        found = np.array(values)
+    except ValueError:  # arrays of several lengths
+        return None
+    if found.dtype not in (np.float64, np.int64) or found.ndim > 2:
+        return None
+    return shaped(found.reshape(len(found), -1), single)
 
 
 class ProtobufBatchDecoder:

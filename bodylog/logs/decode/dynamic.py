@@ -1,4 +1,4 @@
-"""Decode JSON and protobuf payloads to columns: equal layouts at once, others through dictionaries."""
+"""Decode JSON and protobuf payloads to columns: protobuf of equal layout at once, the rest through dictionaries."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -39,13 +39,16 @@ class ObjectDecoder:
 
     def __init__(self, topic: Topic, fields: tuple[str, ...], paths: tuple[tuple[Step, ...], ...]) -> None:
         """Start without messages; FormatError when the schema is broken."""
-        self.fields, self.paths, self.read = fields, paths, reader(topic)
+        self.fields = fields
+        self.paths = paths
         self.single = [number_of(steps) for steps in paths]
         self.log_ns: list[Array] = []
         self.rows: dict[Any, list[tuple[int, list[tuple[Value, ...]]]]] = {}
         self.pieces: dict[Any, list[tuple[Array, list[Any]]]] = {}
-        self.seen = self.fast = 0
+        self.seen = 0
+        self.fast = 0
         self.rejected: Counter[str] = Counter()
+        self.read = reader(topic)
         from .batch_decoders import JsonBatchDecoder, ProtobufBatchDecoder
 
         self.together: JsonBatchDecoder | ProtobufBatchDecoder = (

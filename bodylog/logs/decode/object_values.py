@@ -49,6 +49,9 @@ def _plain(value: Any) -> Iterator[Value]:
             raise KeyError("an object, not a value")
         yield nanoseconds(seconds, next((value[key] for key in _NANOSECONDS if key in value), 0))
     elif isinstance(value, list):
+        if set(map(type, value)) == {float}:  # most arrays of a robot: nothing to convert
+            yield from value
+            return
         for item in value:
             yield from _plain(item)
     elif isinstance(value, str | bytes):
