@@ -62,7 +62,10 @@ def image_messages(path: Path, recording: Recording, unread: dict[str, list[str]
             raise LogError(f"{path}: two cameras would be written as {RAW}; name {source} first in [topics] camera")
         source = recording.roles.get(f"camera/{name}".strip("/"), "")
         topics = {t.id: t for t in recording.topics if source == t.name or source.startswith(f"{t.name}.")}
-        found = _passed(path, recording, frames, topics, unread) if topics else _encoded(recording, frames, source, unread)
+        if topics:
+            found = _passed(path, recording, frames, topics, unread)
+        else:
+            found = _encoded(recording, frames, source, unread)
         yield from (image._replace(kind=image.kind.below(under)) for image in found)
 
 
