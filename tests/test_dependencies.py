@@ -38,6 +38,11 @@ def _declared(*extras):
     return {re.match(r"[\w.-]+", word).group() for word in listed}
 
 
+def _called(node):
+    """The last part of the name of what a call calls."""
+    return getattr(node.func, "attr", getattr(node.func, "id", ""))
+
+
 def _imported(*folders):
     """Distributions of what the files of these folders import, wherever in a file."""
     modules = set()
@@ -47,7 +52,7 @@ def _imported(*folders):
                 modules |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 modules.add(node.module.split(".")[0])
-            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "importorskip")):
+            elif isinstance(node, ast.Call) and _called(node) in ("import_module", "importorskip"):
                 modules |= {arg.value.split(".")[0] for arg in node.args[:1] if isinstance(arg, ast.Constant)}
     third = modules - set(sys.stdlib_module_names) - OURS
     return {DISTRIBUTIONS.get(module, module) for module in third}

@@ -25,7 +25,7 @@ BOMBS = {
     "beyond 64 bits": f"x = {2**63}",
     "nothing": 'x = "a\\u0000b"',
     "key of nothing": '"a\\u0000b" = 1',
-    "strings without end": 'x = "' + '\\"' * 500_000,
+    "strings without end": 'x = "' + '\\"' * 100_000,
     "bytes": "\ud800",
     "too long": "#" * (toml_file.MOST_BYTES + 1),
 }

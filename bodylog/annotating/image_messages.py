@@ -51,7 +51,7 @@ _Convert = Callable[[bytes, int], bytes]
 def image_messages(path: Path, recording: Recording, unread: dict[str, list[str]]) -> Iterator[ImageMessage]:
     """All images that the recording accepts, camera by camera, in file order; those of a video are encoded.
 
-    `unread` {topic: reasons} gets the messages that contradict their definition. The first camera's topic is
+    `unread` {topic or video: reasons} gets the images that cannot be read. The first camera's topic is
     /camera/image, another's /NAME/image, or as compressed. LogError if two are the same.
     """
     films = {"": recording.frames} if recording.frames is not None else {}
@@ -62,7 +62,10 @@ def image_messages(path: Path, recording: Recording, unread: dict[str, list[str]
             raise LogError(f"{path}: two cameras would be written as {RAW}; name {source} first in [topics] camera")
         source = recording.roles.get(f"camera/{name}".strip("/"), "")
         topics = {t.id: t for t in recording.topics if source == t.name or source.startswith(f"{t.name}.")}
-        found = _passed(path, recording, frames, topics, unread) if topics else _encoded(recording, frames)
+        if topics:
+            found = _passed(path, recording, frames, topics, unread)
+        else:
+            found = _encoded(recording, frames, source, unread)
         yield from (image._replace(kind=image.kind.below(under)) for image in found)
 
 
@@ -110,12 +113,19 @@ def _ros2(name: str) -> Kind:
     return Kind(name, kind, known_definition(kind) or b"", "ros2msg")
 
 
-def _encoded(recording: Recording, frames: Frames) -> Iterator[ImageMessage]:
+def _encoded(
+    recording: Recording, frames: Frames, video: str, unread: dict[str, list[str]]
+) -> Iterator[ImageMessage]:
     import cv2
 
     kind = _ros2(COMPRESSED)
     for frame in frames():
-        done, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+        try:
+            image = frame.image
+        except FormatError as problem:
+            unread.setdefault(video, []).append(str(problem))
+            continue
+        done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
         if not done:
             raise FormatError(f"{recording.name}: the image at {frame.t:.3f} s cannot be written as JPEG")
         message = {"format": "jpeg", "data": jpeg.tobytes()}

@@ -1,4 +1,4 @@
-"""The figures: the paper's redrawn from one seed, every claim's outcomes by reading, and sweeps."""
+"""The figures, as PNG and SVG: the paper's redrawn from one seed, every claim's outcomes by reading, and sweeps."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,12 +18,14 @@ REAL = ("true ", "truth")
 NAMED = 10
 """Most lines of a panel that a legend names."""
 _ACROSS = 2
+BOTH = (".svg",)
+"""What every figure is written as besides."""
 
 
 def traces(panels: Sequence[Mapping[str, Any]], out: Path) -> None:
     """Draw panels (see `records.panel`) two across."""
     rows = -(-len(panels) // _ACROSS)
-    with figure(out, 9.0, 2.4 * rows + 0.2) as drawing:
+    with figure(out, 9.0, 2.4 * rows + 0.2, BOTH) as drawing:
         axes = drawing.subplots(rows, _ACROSS, squeeze=False)
         for axis, shown in zip(axes.flat, panels, strict=False):
             _trace(axis, shown)
@@ -48,7 +50,7 @@ def spreads(claims: Sequence[Claim], out: Path) -> None:
     """One strip per claim: a dot per reading with its interval, coloured by its state, and the bound."""
     shown = [claim for claim in claims if claim.outcomes]
     heights = [0.55 + 0.11 * len(claim.outcomes) for claim in shown]
-    with figure(out, 9.0, sum(heights) + 0.4) as drawing:
+    with figure(out, 9.0, sum(heights) + 0.4, BOTH) as drawing:
         axes = drawing.subplots(len(shown), 1, squeeze=False, gridspec_kw={"height_ratios": heights})
         for axis, claim in zip(axes.flat, shown, strict=True):
             _strip(axis, claim)
@@ -72,7 +74,7 @@ def sweeps(claims: Sequence[Claim], out: Path) -> None:
     """A panel per claim and constant it depends on: medians with intervals over the numbers swept, and the bound."""
     shown = [(claim, name, rows) for claim in claims for name, rows in claim.sweeps.items()]
     rows = -(-len(shown) // _ACROSS)
-    with figure(out, 9.0, 2.2 * rows + 0.2) as drawing:
+    with figure(out, 9.0, 2.2 * rows + 0.2, BOTH) as drawing:
         axes = drawing.subplots(rows, _ACROSS, squeeze=False)
         for axis, (claim, name, swept) in zip(axes.flat, shown, strict=False):
             _sweep(axis, claim, name, swept)

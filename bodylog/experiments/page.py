@@ -134,8 +134,7 @@ def _figure(out: Path, title: str, make: Callable[[Path], None]) -> Path:
     folder = out / "figures"
     folder.mkdir(exist_ok=True)
     path = folder / f"{title.replace(', ', '-').replace(' ', '-')}.png"
-    for suffix in (".svg", ".png"):
-        make(path.with_suffix(suffix))
+    make(path)
     return path
 
 

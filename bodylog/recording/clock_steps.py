@@ -1,7 +1,9 @@
-"""Clocks that are set back while a log is recorded: where, and by how much.
+"""Clocks that are set while a log is recorded: where, and by how much.
 
-ntpd sets a clock that is over 128 ms off, and slews it below that. The recorder's clock shows a step
-as log times that fall in the file; a sensor's clock as stamps that fall while log times go on.
+ntpd sets a clock that is over 128 ms off, and chrony whatever its `makestep` says. The recorder's
+clock shows a step back as log times that fall in the file; a sensor's clock as stamps that fall
+while log times go on. A sensor's clock was set forward where its stamps leap from the present into
+the future; those that leap to the present may be what follows a backlog that was dropped.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,8 +15,8 @@ import numpy as np
 from ..logs.records import Array
 from .clocks import median
 
-LEAST_STEP_NS = 100_000_000
-"""ns: least fall that counts as a step."""
+LEAST_STEP_NS = 20_000_000
+"""ns: least fall or leap that counts as a step."""
 MOST_STEP_NS = 86_400_000_000_000
 """ns: a stamp that falls by a day or more is wrong, not late."""
 WINDOW = 100
@@ -184,24 +186,46 @@ def _adopt_log_steps(times: Times, common: Sequence[ClockStep]) -> Steps:
 
 
 def _find_header_steps(log_ns: Array, stamp_ns: Array | None) -> Steps:
-    """Falls of stamps (n,) ns while log times (n,) ns go on, and the returns from them."""
+    """Falls of stamps (n,) ns while log times (n,) ns go on, the returns from them, and leaps into
+    the future.
+    """
     if stamp_ns is None:
         return []
     late = log_ns - stamp_ns
-    change = np.diff(late)
-    falls = (np.diff(stamp_ns) < 0) & (change > LEAST_STEP_NS)
-    returns = (np.diff(stamp_ns) > LEAST_STEP_NS) & (change < -LEAST_STEP_NS)
-    rows = (1 + np.flatnonzero(falls | returns)).tolist()
-    if not falls.any() or len(rows) > 2 * MOST_FALLS:
+    rows = _list_leaps(stamp_ns, late, LEAST_STEP_NS)
+    if len(rows) > 2 * MOST_FALLS:  # messages of uneven delay: only steps well beyond it can be told
+        rows = _list_leaps(stamp_ns, late, 5 * LEAST_STEP_NS)
+    if not 0 < len(rows) <= 2 * MOST_FALLS:
         return []
     steps, behind = Steps(), 0
     for row, end in zip(rows, [*rows[1:], len(late)], strict=True):
         size, std = _level_change(late, steps[-1].row if steps else 0, row, end)
-        # stamps that leap without an earlier fall may be those of a backlog that was dropped
-        if LEAST_STEP_NS < abs(size) < MOST_STEP_NS and (size > 0 or behind > 0):
+        set_forward = behind > 0 or _is_into_future(late, row, size)
+        # delays that vary make a row before the step a candidate too, whose own change is small
+        is_here = float(late[row] - late[row - 1]) / size > 0.5 if size else False
+        is_step = LEAST_STEP_NS < abs(size) < MOST_STEP_NS and is_here
+        if is_step and (size > 0 or set_forward):
             steps.append(ClockStep("header", row, int(log_ns[row - 1]), round(size), std))
             behind += round(size)
     return steps
+
+
+def _list_leaps(stamp_ns: Array, late: Array, least_ns: int) -> list[int]:
+    """Rows at which stamps (n,) ns fall or leap, and `late` (n,) ns changes by more than
+    `least_ns`.
+    """
+    change, interval = np.diff(late), np.diff(stamp_ns)
+    falls = (interval < 0) & (change > least_ns)
+    leaps = (interval > least_ns) & (change < -least_ns)
+    return (1 + np.flatnonzero(falls | leaps)).tolist()
+
+
+def _is_into_future(late: Array, row: int, size: float) -> bool:
+    """Whether stamps, `late` (n,) ns behind log times, agree with these up to `row`, and lead
+    afterwards.
+    """
+    before = median(late[max(0, row - WINDOW) : row].astype(float))
+    return size < 0.0 and abs(before) <= STEADY_SHARE * abs(size)
 
 
 def _adopt_header_steps(times: Times, common: Sequence[ClockStep]) -> Steps:

@@ -102,7 +102,10 @@ def _sidecars(path: Path, settings: Settings) -> dict[str, video_file.Sidecar]:
 
 
 def _seen(sidecars: Mapping[str, video_file.Sidecar]) -> dict[str, Health]:
-    return {one.path.name: Health(one.frames, one.frames, {}, 1 / one.rate) for one in sidecars.values()}
+    return {
+        one.video.path.name: Health(len(one.t), len(one.t), {}, one.largest_gap)
+        for one in sidecars.values()
+    }
 
 
 def _films(
@@ -117,7 +120,7 @@ def _films(
     start = settings.topics.start
     first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9
     limits = replace(settings.input, strict=strict)
-    beside = {key: video_file.frames(sidecar, first_s, start_ns, settings.input) for key, sidecar in sidecars.items()}
+    beside = {key: video_file.frames(side, first_s, start_ns) for key, side in sidecars.items()}
     return beside | {
         key: camera.frames(path, limits, s.role.topics, s.counts, s.rows, s.timing.t_ns, start_ns)
         for key, s in streams.items()

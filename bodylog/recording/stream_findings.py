@@ -94,7 +94,7 @@ def _clock_steps(stream: Stream) -> Iterator[str]:
         whose = "its clock" if step.clock == "header" else "the recorder's clock"
         if step.row in own_rows & recorder_rows:
             whose = "its clock and the recorder's"
-        way = "back" if step.by_ns > 0 else "forward again"
+        way = "back" if step.by_ns > 0 else "forward"
         when = f"{(step.at_ns - first) / 1e9:.3f} s after its first message"
         known = "log time" if step.clock == "header" else "the usual time between messages"
         yield (

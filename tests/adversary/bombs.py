@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from tests.logs import writing
@@ -420,6 +421,36 @@ def video_size(folder: Path) -> Written:
     return _ingest(folder, "x.mp4")
 
 
+def side_frame(folder: Path) -> Written:
+    """A video of 64 x 48 beside a log, with images of 16000 x 15000 in its midst: 0.7 GB each."""
+    from fractions import Fraction
+
+    import av
+
+    from .messages import large
+
+    small = cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
+    huge = large(".jpg", 16_000)
+    with av.open(str(folder / "x.avi"), "w") as container:
+        stream = container.add_stream("mjpeg", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuvj420p"
+        for number in range(30):
+            packet = av.Packet(huge if 10 <= number < 16 else small)
+            packet.stream, packet.time_base = stream, Fraction(1, 30)
+            packet.pts = packet.dts = number
+            container.mux(packet)
+    _joints(folder / "x.mcap", 30, lambda k: ["a", "b"])
+    (folder / "robot.toml").write_text('[topics]\ncamera = "x.avi"\n')
+    asked = ("--config", str(folder / "robot.toml"), "-o", str(folder / "out.mcap"))
+    return ("ingest", str(folder / "x.mcap"), *asked)
+
+
+def video_frame(folder: Path) -> Written:
+    """The same as a log of its own."""
+    side_frame(folder)
+    return ("doctor", str(folder / "x.avi"))
+
+
 BOMBS = {
     "hdf5 cycle": Bomb(hdf5_cycle, 0),
     "hdf5 chain": Bomb(hdf5_chain, 0),
@@ -454,5 +485,7 @@ BOMBS = {
     "side video samples": Bomb(side_samples, 65, "its tables declare 16777216 samples"),
     "side video size": Bomb(side_size, 65, "images of 12000 x 12000; set [input] max_image_mpx"),
     "video size": Bomb(video_size, 65, "max_image_mpx"),
+    "side video frame": Bomb(side_frame, 3, "x.avi: 6 images cannot be read and are left out"),
+    "video frame": Bomb(video_frame, 3, "6 of 30 images cannot be read"),
 }
 """Every bomb, with what becomes of the command that reads it."""

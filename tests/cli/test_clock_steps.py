@@ -31,7 +31,7 @@ def body(tmp_path_factory, run_cli):
 
 def _assert_named_and_mended(tmp_path, capsys, run_cli, body, which, at, by, seed):
     """The log's estimate is that of the same log without a step, and each stream that stepped says
-    so.
+    so; `by` s back, or forward if negative.
     """
     topics, recorder = WHICH[which]
     log = set_back(
@@ -47,13 +47,14 @@ def _assert_named_and_mended(tmp_path, capsys, run_cli, body, which, at, by, see
         and scores["nees/joint"] < 1.4
         and scores["used/encoders"] == 1000
     )
-    stepped = [one["text"] for one in result["findings"] if "stepped back" in one["text"]]
+    way = "back" if by > 0 else "forward"
+    stepped = [one["text"] for one in result["findings"] if f"stepped {way}" in one["text"]]
     for topic in (JOINTS, CAMERA):
         texts = [text for text in stepped if f" {topic}:" in text]
         if topics is None or topic in topics or recorder:
             (text,) = texts
-            size, when = (float(text.partition(word)[2].split()[0]) for word in ("back by", "s, "))
-            assert size == pytest.approx(by, abs=0.015) and when == pytest.approx(at, abs=0.15)
+            size, when = (float(text.partition(word)[2].split()[0]) for word in (f"{way} by", "s, "))
+            assert size == pytest.approx(abs(by), abs=0.015) and when == pytest.approx(at, abs=0.15)
         else:
             assert not texts
 
@@ -65,6 +66,8 @@ def _assert_named_and_mended(tmp_path, capsys, run_cli, body, which, at, by, see
         ("all but the recorder's", 3.0, 0.2),
         ("the joints'", 12.0, 4.7),
         ("the camera's", 17.0, 0.4),
+        ("the joints'", 8.0, 0.05),
+        ("the camera's", 9.0, -0.4),
     ],
 )
 def test_no_sensor_is_accused_where_a_clock_steps(tmp_path, capsys, run_cli, body, which, at, by):
@@ -78,3 +81,22 @@ def test_no_sensor_is_accused_where_drawn_clocks_step(tmp_path, capsys, run_cli,
     rng = np.random.default_rng([seed, list(WHICH).index(which)])
     at, by = rng.uniform(1.0, 18.5), float(np.exp(rng.uniform(np.log(0.2), np.log(5.0))))
     _assert_named_and_mended(tmp_path, capsys, run_cli, body, which, at, by, seed)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("which", ["all but the recorder's", "the joints'", "the camera's"])
+@pytest.mark.parametrize("seed", range(5))
+def test_no_sensor_is_accused_where_drawn_clocks_leap(tmp_path, capsys, run_cli, body, which, seed):
+    rng = np.random.default_rng([seed, list(WHICH).index(which), 1])
+    at, by = rng.uniform(1.0, 18.5), float(np.exp(rng.uniform(np.log(0.1), np.log(5.0))))
+    _assert_named_and_mended(tmp_path, capsys, run_cli, body, which, at, -by, seed)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(8))
+def test_no_encoder_is_accused_where_its_clock_steps_a_little(
+    tmp_path, capsys, run_cli, body, seed
+):
+    rng = np.random.default_rng([seed, 2])
+    at, by = rng.uniform(1.0, 18.5), rng.uniform(0.03, 0.1)
+    _assert_named_and_mended(tmp_path, capsys, run_cli, body, "the joints'", at, by, seed)

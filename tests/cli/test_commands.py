@@ -75,17 +75,6 @@ def test_named_senses_are_used_and_no_others(tmp_path, capsys, run_cli, robot):
     assert "nis/effector" in scores and "nis/encoders" not in scores
 
 
-def test_compare_has_a_row_for_every_method_and_subset(capsys, run_cli, robot):
-    capsys.readouterr()
-    assert run_cli("compare", robot / "reach.mcap", "--body", robot / "body.npz", "--all", "--json") == 0
-    rows = json.loads(capsys.readouterr().out)["results"][0]["rows"]
-    ran = {f"{row['method']} {','.join(row['senses'])}" for row in rows}
-    assert {"laplace encoders,vision", "laplace encoders", "kalman encoders", "smoother vision"} <= ran
-    assert all(row["scores"]["rmse/joint"]["value"] > 0 for row in rows)
-    held_out = {f"{row['method']} {','.join(row['senses'])}": row["scores"]["log_density/held_out"] for row in rows}
-    assert held_out["smoother encoders,vision"]["value"] > held_out["smoother encoders"]["value"]
-
-
 def test_info_and_doctor_continue_after_an_absent_log(capsys, run_cli, robot):
     for name, key in (("info", "log"), ("doctor", "findings")):
         capsys.readouterr()

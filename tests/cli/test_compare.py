@@ -1,5 +1,7 @@
 """What `compare` runs: which rows there are, what it says of them, and what its times are of."""
 
+import contextlib
+import io
 import json
 from dataclasses import replace
 
@@ -22,16 +24,43 @@ def _ran(capsys, run_cli, *typed):
     return {(row["method"], tuple(row["senses"])) for row in printed["rows"]}, printed
 
 
-def test_subsets_without_the_encoders_are_run_only_for_all(capsys, run_cli, robot):
+@pytest.fixture(scope="module")
+def whole(run_cli, robot):
+    """What `compare --all` finds of the robot's log: rows as (method, senses), and all of it."""
+    shown = io.StringIO()
+    with contextlib.redirect_stdout(shown):
+        typed = ("--body", robot / "body.npz", "--all", "--json")
+        assert run_cli("compare", robot / "reach.mcap", *typed) == 0
+    printed = json.loads(shown.getvalue())["results"][0]
+    return {(row["method"], tuple(row["senses"])) for row in printed["rows"]}, printed
+
+
+def test_compare_has_a_row_for_every_method_and_subset(whole):
+    ran, printed = whole
+    assert {
+        ("laplace", ("encoders", "vision")),
+        ("laplace", ("encoders",)),
+        ("kalman", ("encoders",)),
+        ("smoother", ("vision",)),
+    } <= ran
+    scores = {(row["method"], *row["senses"]): row["scores"] for row in printed["rows"]}
+    assert all(found["rmse/joint"]["value"] > 0 for found in scores.values())
+    alone, seen = (
+        scores["smoother", *senses]["log_density/held_out"]["value"]
+        for senses in (("encoders",), ("encoders", "vision"))
+    )
+    assert seen > alone
+
+
+def test_subsets_without_the_encoders_are_run_only_for_all(capsys, run_cli, robot, whole):
     typed = (robot / "reach.mcap", "--body", robot / "body.npz")
     rows, printed = _ran(capsys, run_cli, *typed)
     assert ("laplace", ("encoders", "vision")) in rows and ("kalman", ("encoders",)) in rows
     assert all("encoders" in senses for _, senses in rows)
     (told,) = [f["text"] for f in printed["findings"] if "--all" in f["text"]]
     assert "vision" in told
-    whole, printed = _ran(capsys, run_cli, *typed, "--all")
-    assert rows < whole and ("laplace", ("vision",)) in whole
-    assert not any("--all" in f["text"] for f in printed["findings"])
+    assert rows < whole[0] and ("laplace", ("vision",)) in whole[0]
+    assert not any("--all" in f["text"] for f in whole[1]["findings"])
 
 
 def test_a_log_without_encoders_has_its_rows_without_all():
@@ -58,8 +87,8 @@ def test_compare_omits_a_sense_the_body_lacks(tmp_path, capsys, run_cli, robot):
     assert not any("log_density/held_out" in row["scores"] for row in printed["rows"])
 
 
-def test_warnings_name_the_rows_they_are_about(capsys, run_cli, robot):
-    _, printed = _ran(capsys, run_cli, robot / "reach.mcap", "--body", robot / "body.npz", "--all")
+def test_warnings_name_the_rows_they_are_about(whole):
+    _, printed = whole
     (text,) = [f["text"] for f in printed["findings"] if "the posture is ambiguous" in f["text"]]
     assert text.startswith("laplace vision; smoother vision; ekf vision; predictive-coding vision: vision: 2 numbers")
     assert sum("predictive-coding: knows no motion" in f["text"] for f in printed["findings"]) == 1

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+PANDA_TAG = 'effector = {tag = 30, dictionary = "4x4_100"}'
+"""A tag of the board in the Panda's images; to guess one takes longer than all else."""
+
 
 @pytest.fixture(scope="module")
 def franka(tmp_path_factory, real, run_cli) -> tuple[Path, str, str]:
@@ -36,7 +39,9 @@ def test_a_body_that_knows_nothing_is_refused(real, tmp_path, run_cli, capsys) -
 def test_who_gave_a_urdf_is_told_why_it_did_not_help(real, tmp_path, run_cli, capsys) -> None:
     panda, other = real / "panda", tmp_path / "other.urdf"
     other.write_text((panda / "panda.urdf").read_text().replace("0 -0.316 0", "0 -3.16 0"))
-    typed = ("fit", panda / "real_new" / "poses.csv", "-o", tmp_path / "body.npz")
+    config = tmp_path / "robot.toml"
+    config.write_text("[features]\n" + PANDA_TAG)
+    typed = ("fit", panda / "real_new" / "poses.csv", "--config", config, "-o", tmp_path / "body.npz")
     assert run_cli(*typed, "--urdf", other) == 65
     (text,) = capsys.readouterr().err.splitlines()[-1:]
     assert "one image shows no joint's error below" in text and "or give the robot's URDF" not in text

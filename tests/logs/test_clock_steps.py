@@ -34,6 +34,49 @@ def test_a_stamp_clock_that_steps_is_mended_by_log_time(seed, by_ms, period_ms):
     assert abs(found.stamp_ns - stamp).max() < 2 * MS and (np.diff(found.stamp_ns) > 0).all()
 
 
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("by_ms", [25, 50, 90])
+def test_a_small_step_of_a_fast_stream_is_mended(seed, by_ms):
+    """Stamps fall where the step is longer than the period; in slower streams they keep their
+    order.
+    """
+    rng = np.random.default_rng(seed)
+    stamp, log = _stream(rng, 10.0)
+    row = int(rng.integers(len(stamp) // 10, len(stamp) * 9 // 10))
+    found = _mended(log, stamp - by_ms * MS * (np.arange(len(stamp)) >= row))
+    (step,) = found.steps
+    assert (step.clock, step.row) == ("header", row)
+    assert abs(found.stamp_ns - stamp).max() < 2 * MS and (np.diff(found.stamp_ns) > 0).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("by_ms", [50, 400, 5000])
+@pytest.mark.parametrize("period_ms", [2.0, 20.0, 83.3])
+def test_a_stamp_clock_that_leaps_into_the_future_is_mended(seed, by_ms, period_ms):
+    rng = np.random.default_rng(seed)
+    stamp, log = _stream(rng, period_ms)
+    row = int(rng.integers(len(stamp) // 10, len(stamp) * 9 // 10))
+    found = _mended(log, stamp + by_ms * MS * (np.arange(len(stamp)) >= row))
+    (step,) = found.steps
+    assert (step.clock, step.row, step.by_ns < 0) == ("header", row, True)
+    assert abs(found.stamp_ns - stamp).max() < 2 * MS
+
+
+def test_messages_of_uneven_delay_are_no_steps():
+    """Bursts as of a loaded network: a tenth of the messages come up to 60 ms late, with those
+    behind them.
+    """
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        stamp, log = _stream(rng, 10.0)
+        held = np.where(rng.random(len(stamp)) < 0.1, rng.integers(0, 60 * MS, len(stamp)), 0)
+        log = np.maximum.accumulate(log + held)
+        assert not _mended(log, stamp).steps
+        row = int(rng.integers(300, 1700))
+        (step,) = _mended(log, stamp - 500 * MS * (np.arange(len(stamp)) >= row)).steps
+        assert step.row == row
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("by_ms", [200, 700, 5000])
 def test_a_recorders_clock_that_steps_is_mended_in_every_stream(seed, by_ms):

@@ -448,14 +448,17 @@ def _film(path, count, width, height):
     return path
 
 
-def test_a_side_video_that_grew_or_lied_ends_at_the_limits(tmp_path):
-    path, limits = _film(tmp_path / "film.avi", 4, 64, 48), Input(max_frames=5, max_image_mpx=0.01)
-    film = video_file.find("film.avi", tmp_path / "log.mcap", None, limits)
-    assert len(list(video_file.frames(film, 0.0, 0, limits)())) == 4
+def test_images_of_a_side_video_that_grew_or_changed_its_size_are_left_out(tmp_path):
+    path = _film(tmp_path / "film.avi", 4, 64, 48)
+    side = video_file.find("film.avi", tmp_path / "log.mcap", None, Input(max_frames=5))
+    assert [round(frame.t, 6) for frame in video_file.frames(side, 1.0, 0)()] == [1.0, 1.1, 1.2, 1.3]
     _film(path, 9, 64, 48)
-    images = video_file.frames(film, 0.0, 0, limits)()
-    with pytest.raises(LogError, match=r"film.avi: more than 5 images; .*\[input\] max_frames = 50"):
-        list(images)
+    assert len(list(video_file.frames(side, 0.0, 0)())) == 4
     _film(path, 4, 640, 480)
-    with pytest.raises(LogError, match=r"film.avi: image 0 has 640 x 480 px, .* set \[input\] max_image_mpx"):
-        list(video_file.frames(film, 0.0, 0, limits)())
+    changed = list(video_file.frames(side, 0.0, 0)())
+    with pytest.raises(FormatError, match=r"film.avi: image 0 is damaged or of another size"):
+        changed[0].decode(1)
+    with pytest.raises(LogError, match=r"film.avi: more than 3 images; .*\[input\] max_frames = 30"):
+        video_file.find("film.avi", tmp_path / "log.mcap", None, Input(max_frames=3))
+    with pytest.raises(LogError, match=r"film.avi: images of 640 x 480; set \[input\] max_image_mpx"):
+        video_file.find("film.avi", tmp_path / "log.mcap", None, Input(max_image_mpx=0.01))

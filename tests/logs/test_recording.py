@@ -475,7 +475,7 @@ def test_read_takes_a_video_as_camera(tmp_path):
     with pytest.raises(LogError, match="no such file, here or beside the log"):
         read(log, settings(topics=Topics(camera="gone.mp4")))
     (tmp_path / "no.mp4").write_bytes(b"not a video")
-    with pytest.raises(LogError, match="cannot be opened as a video"):
+    with pytest.raises(LogError, match="no video: its first bytes"):
         read(log, settings(topics=Topics(camera="no.mp4")))
 
 

@@ -266,7 +266,8 @@ def _evidence_and_weights(
     values, vectors = np.linalg.eigh(covariance / np.outer(root, root))
     values = np.maximum(values, 0.0)
     ratios = NOISE_RATIOS * max(float(values.mean()), 1e-12)
-    power = (vectors.T @ (components / root[:, None])) ** 2  # (N,C)
+    rotated = vectors.T @ (components / root[:, None])  # (N,C)
+    power = rotated**2
     spectra = values[None] + ratios[:, None]  # (R,N)
     scales = np.maximum((1.0 / spectra) @ power / count, 1e-30)  # (R,C)
     determinants = np.log(spectra).sum(axis=1)
@@ -274,13 +275,10 @@ def _evidence_and_weights(
     best = evidence.argmax(axis=0)
     total = float(evidence[best, np.arange(width)].sum()) - 0.5 * width * float(np.log(noise).sum())
     total += float(0.5 * FREEDOM * (np.log(weights) - weights + 1.0).sum())
-    squares = np.zeros(count)
-    for column in range(width):
-        spread = spectra[best[column]]
-        inverse = (vectors / spread) @ vectors.T
-        diagonal = np.diag(inverse)
-        residual = inverse @ (components[:, column] / root) / diagonal  # R&W (5.12)
-        squares += residual**2 * diagonal / scales[best[column], column]
+    spread = spectra[best].T  # (N,C)
+    diagonal = vectors**2 @ (1.0 / spread)
+    residual = vectors @ (rotated / spread) / diagonal  # R&W (5.12)
+    squares = (residual**2 * diagonal / scales[best, np.arange(width)]).sum(axis=1)
     return total, np.clip((FREEDOM + width) / (FREEDOM + squares / weights), 1e-4, 3.0)
 
 

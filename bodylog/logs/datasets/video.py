@@ -109,7 +109,8 @@ _EXPANDED = np.clip(np.rint((np.arange(256) - 16) * 255.0 / 219.0), 0, 255).asty
 def _decoded(
     video: Video, first: int, convert: Callable[[Any], Array]
 ) -> Iterator[tuple[int, Array]]:
-    """Frames with their numbers, from a key frame at or before `first` to the end or the first damage."""
+    """Frames with their numbers, from a key frame at or before `first` on; none where data are
+    damaged, or an image has more pixels than the video states."""
     known = {pts: number for number, pts in reversed(list(enumerate(video.pts.tolist())))}
     if not known:
         return
@@ -118,10 +119,17 @@ def _decoded(
         if first:
             container.seek(int(video.pts[first]), stream=stream, backward=True)
         number = -1
-        for frame in container.decode(stream):
+        for frame in _sound_frames(container, stream, video.path):
             number = max(known.get(frame.pts, number + 1), number + 1)
             if (frame.width, frame.height) == (video.width, video.height):
                 yield number, convert(frame)
+
+
+def _sound_frames(container: Any, stream: Any, path: Path) -> Iterator[Any]:
+    """What a decoder makes of each packet; nothing of one that it rejects."""
+    for packet in container.demux(stream):
+        with suppress(*_damage(path)):
+            yield from packet.decode()
 
 
 @contextmanager

@@ -1,127 +1,85 @@
 """A video file beside the log as a camera."""
 
 from collections.abc import Callable, Iterator
-from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from ...errors import LogError
+from ...errors import FormatError, LogError
+from ..datasets import video
 from ..limits import LIMITS, Input
 from ..records import Array, Frame
-from .mp4_boxes import check_samples
 
 _DATES = 1e8
 """s: larger times count from 1970, smaller ones from a start that the table does not give."""
 
 
 class Sidecar(NamedTuple):
-    """A video: its file, frames per second, declared number of frames, and their times t (K,) s from a table."""
+    """A video, and the times t (K,) s of its frames, from a table beside it where it has one."""
 
-    path: Path
-    rate: float
-    frames: int
-    t: Array | None = None
+    video: video.Video
+    t: Array
+
+    @property
+    def largest_gap(self) -> float:
+        """The longest time (s) without an image."""
+        return float(np.diff(self.t).max()) if len(self.t) > 1 else 0.0
 
 
 def find(name: str, log: Path, rate: float | None, limits: Input = LIMITS) -> Sidecar:
-    """Find the video `name`, here or beside the log, at `rate` (1/s; None: its own).
+    """Find the video `name`, here or beside the log, at `rate` (1/s; None: its own times).
 
-    LogError if it is missing, or its images are too large or too many.
+    LogError if it is missing or no video, or its images are too large or too many.
     """
     path = next((p for p in (Path(name), log.parent / name) if p.is_file()), None)
     if path is None:
-        raise LogError(f"{log}: [topics] camera = {name!r}, but there is no such file, here or beside the log")
-    check_samples(path, limits)
-    capture = _open(path)
-    own, length = capture.get(_property("FPS")), int(capture.get(_property("FRAME_COUNT")))
-    width, height = (capture.get(_property(f"FRAME_{side}")) for side in ("WIDTH", "HEIGHT"))
-    capture.release()
-    if width * height > limits.max_image_mpx * 1e6:
-        text = f"{path}: images of {width:.0f} x {height:.0f}"
-        raise LogError(f"{text}; set [input] max_image_mpx to read larger ones")
-    if length > limits.max_frames:
-        asked = f"type in robot.toml: [input] max_frames = {length}"
-        raise LogError(f"{path}: {length} images; to read them, {asked}")
-    if not 0 < (rate or own) < 1e6:
-        raise LogError(
-            f"{path}: the video declares {rate or own} frames per second; type in robot.toml: [topics] rate = 30"
-        )
-    return Sidecar(path, rate or own, max(length, 0), _times(path, length) if rate is None else None)
+        asked = f"[topics] camera = {name!r}, but there is no such file, here or beside the log"
+        raise LogError(f"{log}: {asked}")
+    film = video.survey(path, limits)
+    if rate is not None:
+        return Sidecar(film, np.arange(len(film.pts)) / rate)
+    t = _times(film)
+    return Sidecar(film, film.t - film.t[:1] if t is None else t)
 
 
-def _times(path: Path, frames: int) -> Array | None:
-    """The times of a video's frames from a table beside it; LogError if it has another number of rows."""
+def _times(film: video.Video) -> Array | None:
+    """The times of a video's frames from a table beside it; LogError if it has another number of
+    rows.
+    """
     from ..datasets.tables import table_beside, times_beside
 
-    t = times_beside(path)
-    if t is not None and len(t) != frames:
-        text = f"{len(t)} rows for the {frames} frames of {path.name}; rename it, or type: [topics] rate"
-        raise LogError(f"{table_beside(path)}: {text}")
+    t = times_beside(film.path)
+    if t is not None and len(t) != len(film.pts):
+        rows = f"{len(t)} rows for the {len(film.pts)} frames of {film.path.name}"
+        cure = "rename it, or type: [topics] rate"
+        raise LogError(f"{table_beside(film.path)}: {rows}; {cure}")
     return t
 
 
-def frames(
-    video: Sidecar, first_s: float | None, start_ns: int, limits: Input = LIMITS
-) -> Callable[[], Iterator[Frame]]:
-    """A function that decodes the video from its beginning; its first frame is at first_s after start_ns.
+def frames(side: Sidecar, first_s: float | None, start_ns: int) -> Callable[[], Iterator[Frame]]:
+    """A function that decodes the video from its beginning; its first frame is at first_s after
+    start_ns.
 
-    Raises LogError at an image that is larger, or one more, than the limits allow: a file may declare fewer, or grow.
-    If a table has the frames' times counted from 1970, first_s None keeps these times.
+    If a table has the frames' times counted from 1970, first_s None keeps these times. What the
+    file gained since it was found is left out, and an image of another size cannot be decoded.
     """
-    at = _at(video, first_s, start_ns)
+    is_date = first_s is None and len(side.t) > 0 and float(side.t[0]) >= _DATES
+    begins = start_ns / 1e9 if is_date else side.t[:1] - (first_s or 0.0)
+    times = (side.t - begins).tolist()
 
     def read() -> Iterator[Frame]:
-        capture = _open(video.path)
-        try:
-            for number in count():
-                there, image = capture.read()
-                if not there:
-                    return
-                _check_image(video.path, number, image, limits)
-                t = at(number)
-                yield Frame(t, start_ns + round(t * 1e9), _decode(image))
-        finally:
-            capture.release()
+        for number, image in video.images(side.video):
+            t = times[number]
+            yield Frame(t, start_ns + round(t * 1e9), _decode(side.video.path, number, image))
 
     return read
 
 
-def _at(video: Sidecar, first_s: float | None, start_ns: int) -> Callable[[int], float]:
-    """A function from a frame's number to its time, s after start_ns; after the table, the video's rate gives it."""
-    if video.t is None or not len(video.t):
-        return lambda number: (first_s or 0.0) + number / video.rate
-    is_date = first_s is None and float(video.t[0]) >= _DATES
-    t = (video.t - start_ns / 1e9 if is_date else video.t - video.t[0] + (first_s or 0.0)).tolist()
-    return lambda number: t[number] if number < len(t) else t[-1] + (number + 1 - len(t)) / video.rate
+def _decode(path: Path, number: int, image: Array | None) -> Callable[[int], Array]:
+    def decode(k: int) -> Array:
+        if image is None:
+            raise FormatError(f"{path.name}: image {number} is damaged or of another size")
+        return np.ascontiguousarray(image[::k, ::k])
 
-
-def _check_image(path: Path, number: int, image: Array, limits: Input) -> None:
-    """LogError where an image is one too many, or has more pixels than the file declared and than are allowed."""
-    height, width = image.shape[:2]
-    if width * height > limits.max_image_mpx * 1e6:
-        text = f"{path}: image {number} has {width} x {height} px, more than the file declared"
-        raise LogError(f"{text}; set [input] max_image_mpx to read larger ones")
-    if number >= limits.max_frames:
-        asked = f"type in robot.toml: [input] max_frames = {10 * limits.max_frames}"
-        raise LogError(f"{path}: more than {limits.max_frames} images; to read them, {asked}")
-
-
-def _decode(image: Array) -> Callable[[int], Array]:
-    return lambda k: np.ascontiguousarray(image[::k, ::k])
-
-
-def _open(path: Path) -> Any:
-    import cv2
-
-    capture = cv2.VideoCapture(str(path))
-    if not capture.isOpened():
-        raise LogError(f"{path}: cannot be opened as a video")
-    return capture
-
-
-def _property(name: str) -> int:
-    import cv2
-
-    return int(getattr(cv2, f"CAP_PROP_{name}"))
+    return decode

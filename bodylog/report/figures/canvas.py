@@ -1,6 +1,6 @@
 """A blank matplotlib figure, saved atomically, without a display, and with the same bytes for the same drawing."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -39,8 +39,10 @@ _STYLE = {
 
 
 @contextmanager
-def figure(out: Path, width: float, height: float) -> Iterator[Any]:
-    """An empty Figure of width x height inches, written to `out` at the end; UsageError: no matplotlib, suffix."""
+def figure(out: Path, width: float, height: float, more: Sequence[str] = ()) -> Iterator[Any]:
+    """An empty Figure of width x height inches, written to `out` at the end, and beside it with the
+    suffixes `more`; UsageError: no matplotlib, suffix.
+    """
     _known(out)
     matplotlib = _matplotlib()
     with matplotlib.rc_context():
@@ -49,8 +51,10 @@ def figure(out: Path, width: float, height: float) -> Iterator[Any]:
         drawing = matplotlib.figure.Figure(figsize=(width, height), layout="constrained")
         matplotlib.backends.backend_agg.FigureCanvasAgg(drawing)
         yield drawing
-        with replacing(out) as beside:
-            _save(drawing, beside, out.suffix.lower())
+        for path in (out, *(out.with_suffix(suffix) for suffix in more)):
+            with replacing(path) as beside:
+                _save(drawing, beside, path.suffix.lower())
+            drawing.set_layout_engine("none")  # what was laid out once stays; it takes half of the time
 
 
 def label(name: str, longest: int = 40) -> str:
