@@ -2,9 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from .logs.records import Array
+
+if TYPE_CHECKING:
+    from .kinematics.landmark_map import LandmarkMap
 
 UNUSED_URDF = "unused_urdf"
 """In a body's provenance: why the URDF that it was given is not used."""
@@ -51,7 +54,7 @@ class SurfaceCamera:
     size (width, height) px · anchor (4,4): its link in the camera before calibration, m · lens (6,) and doubt (12,):
     prior mean, and prior std of pose and lens · unknowns (P,) ± covariance (P,P): pose (6), lens (6), each joint's
     zero, row time (s) · delays (L,) s ± delay_std of the logs learned from · picture (h,w): their first log's median
-    image, shrunken, grey levels.
+    image, shrunken, grey levels · landmarks: places on the links that are found again; None where too few are.
     """
 
     name: str
@@ -66,6 +69,7 @@ class SurfaceCamera:
     delays: Array
     delay_std: Array
     picture: Array
+    landmarks: "LandmarkMap | None" = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,6 +78,7 @@ def _camera(one: SurfaceCalibration, topic: str) -> SurfaceCamera:
     return SurfaceCamera(
         one.camera or "camera", topic, placed.link, one.size, placed.anchor, placed.lens, placed.doubt, phi[shared],
         one.covariance[np.ix_(shared, shared)], phi[delays], std[delays], one.picture.astype(np.float64),
+        one.landmarks,
     )  # fmt: skip
 
 
