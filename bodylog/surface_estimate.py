@@ -14,9 +14,9 @@ from .surface_calibration import (
     LONGEST_S,
     MOST_IMAGES,
     ROW_STRIDE,
+    camera_film,
     control_counts,
     explains,
-    camera_film,
     smoothed_motion,
     track_camera,
 )
@@ -131,9 +131,10 @@ def judge(
     changes = _weighed_changes(fit, belief, may_move)
     if camera.landmarks is not None:
         film = camera_film(log, read, camera.name)
-        found = _by_landmarks(camera, fit, belief, changes, key_frames(film, tracks.t), may_move)
-        if found is not None:
-            fit, belief = found
+        keys = key_frames(film, tracks.t)
+        by_landmarks = _by_landmarks(camera, fit, belief, changes, keys, may_move)
+        if by_landmarks is not None:
+            fit, belief = by_landmarks
             changes = _weighed_changes(fit, belief, may_move)
     covariance = unknowns_covariance(fit)
     delay = fit.model.of_delays.start

@@ -72,8 +72,13 @@ def key_frames(film: Callable[[], Iterable[Frame]], t: Array, most: int = MOST_K
 
 
 def find_again(
-    model: "LandmarkModel", phi: Array, known: "LandmarkMap", landmarks: "Landmarks", keys: Sequence[KeyFrames],
-    reach_px: int, every: int = 1,
+    model: "LandmarkModel",
+    phi: Array,
+    known: "LandmarkMap",
+    landmarks: "Landmarks",
+    keys: Sequence[KeyFrames],
+    reach_px: int,
+    every: int = 1,
 ) -> FoundAgain | None:
     """Look for landmarks within reach_px of where φ foretells them, in every n-th image; None where none is found."""
     import numpy as np
@@ -95,11 +100,7 @@ def find_again(
             found = match_templates(key.images[number], templates, there.image[some, number], reach_px)
             possible[some[found.score > -1.0]] += 1
             sure = np.flatnonzero(found.sure)
-            rows.append(
-                np.column_stack(
-                    [some[sure], np.full((len(sure), 2), [log, key.t[number]]), found.uv[sure]]
-                )
-            )
+            rows.append(np.column_stack([some[sure], np.full((len(sure), 2), [log, key.t[number]]), found.uv[sure]]))
     table = np.concatenate(rows)
     if not len(table):
         return None

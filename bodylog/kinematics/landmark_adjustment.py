@@ -40,13 +40,13 @@ class PlacePrior:
 
     def take(self, landmarks: Array) -> "PlacePrior":
         """The prior of the landmarks with these numbers (k,)."""
-        chosen = (part[landmarks] for part in (self.centres, self.precision, self.slopes))
-        return PlacePrior(*chosen, self.at)
+        centres, precision = self.centres[landmarks], self.precision[landmarks]
+        return PlacePrior(centres, precision, self.slopes[landmarks], self.at)
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Places (K,3) m of the pieces on bodies with numbers (K,); their prior is that of their bodies if none is given."""
+    """Places (K,3) m of the pieces on bodies with numbers (K,), and their prior; without one that of their bodies."""
 
     body: Array
     places: Array
@@ -122,20 +122,26 @@ def reduce_normal(
     shared = by_shared.reshape(-1, len(phi))
     scaled = shared * np.repeat(weight, 2)[:, None]
     matrix = scaled.T @ shared + model.prior_precision
-    matrix += np.einsum("kip,kiq->pq", prior.slopes, sloping)
+    matrix += _gram(prior.slopes, sloping)
     pull = scaled.T @ innovation.reshape(-1) - prior_pull
-    pull -= np.einsum("kip,ki->p", prior.slopes, pulled)
+    pull -= prior.slopes.reshape(-1, len(phi)).T @ pulled.reshape(-1)
     eliminated = np.linalg.solve(place_matrix, np.concatenate([cross, place_pull[..., None]], axis=2))
     flat = cross.reshape(-1, len(phi))
     matrix -= flat.T @ eliminated[..., :-1].reshape(-1, len(phi))
     pull -= flat.T @ eliminated[..., -1].reshape(-1)
     rows = by_shared - by_place @ eliminated[seen.piece, :, :-1]
     left = -prior.slopes - eliminated[..., :-1]
-    from_prior = np.einsum("kip,kij,kjq->pq", left, prior.precision, left)
+    from_prior = _gram(left, prior.precision @ left)
     cost = float(DATA_SHARE * loss.sum() + beyond @ prior_pull + (off * pulled).sum())
     return Reduced(
         matrix, pull, cost, place_matrix, cross, place_pull, from_prior, rows, innovation, residual, weight
     )  # fmt: skip
+
+
+def _gram(left: Array, right: Array) -> Array:
+    """The sum (P,P) over landmarks of leftᵀ right, both (K,3,P)."""
+    count = left.shape[-1]
+    return np.asarray(left.reshape(-1, count).T @ right.reshape(-1, count))
 
 
 def expected_places(model: LandmarkModel, body: Array, phi: Array) -> PlacePrior:

@@ -56,9 +56,7 @@ class Foretold:
     front: Array
 
 
-def foretell(
-    model: LandmarkModel, phi: Array, landmarks: Landmarks, t: Array, log: int, height: float
-) -> Foretold:
+def foretell(model: LandmarkModel, phi: Array, landmarks: Landmarks, t: Array, log: int, height: float) -> Foretold:
     """Where landmarks appear at image times t (F,) s of a log, in images `height` px high."""
     count, frames = len(landmarks.body), len(t)
     uv = np.full((count * frames, 2), 0.5 * height)
