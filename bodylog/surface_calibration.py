@@ -10,9 +10,9 @@ from .surface_map import build_map
 from .types import Array, Frame, Recording, Series
 
 if TYPE_CHECKING:
+    from .body_model import LandmarkMap
     from .kinematics.joint_motion import JointMotion
     from .kinematics.landmark_fit import LandmarkFit
-    from .kinematics.landmark_map import LandmarkMap
     from .kinematics.landmarks import LandmarkModel, Sightings
     from .kinematics.links import CameraHint
     from .kinematics.rig import Camera

@@ -8,9 +8,9 @@ from .errors import InputError
 from .types import Array, Frame
 
 if TYPE_CHECKING:
+    from .body_model import LandmarkMap
     from .kinematics.landmark_adjustment import Landmarks
     from .kinematics.landmark_fit import LandmarkFit
-    from .kinematics.landmark_map import LandmarkMap
     from .kinematics.landmarks import LandmarkModel, Sightings
 
 MOST_KEY_FRAMES = 80
@@ -232,7 +232,8 @@ def _with_views(
     """A map of the landmarks with views from where they were seen, as differently as can be; None without any."""
     import numpy as np
 
-    from .kinematics.landmark_map import LandmarkMap, looking
+    from .body_model import LandmarkMap
+    from .kinematics.landmark_map import looking
     from .perception.surface.patches import cut_patch
 
     predicted = model.predict(phi, seen, landmarks.body, landmarks.places)

@@ -11,9 +11,8 @@ import pytest
 from bodylog import calibration
 from bodylog.body import storage
 from bodylog.body.surface import landmark_model
-from bodylog.body_model import BodyModel, Noise, Surface, SurfaceCamera, TouchConstants
+from bodylog.body_model import BodyModel, LandmarkMap, Noise, Surface, SurfaceCamera, TouchConstants
 from bodylog.errors import ModelError
-from bodylog.kinematics.landmark_map import LandmarkMap
 from bodylog.surface_estimate import picture_shift
 
 REACH = Path(__file__).parents[1] / "fixtures" / "arm" / "reach.mcap"

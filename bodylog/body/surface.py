@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..body_model import Noise, Surface, SurfaceCamera
+from ..body_model import PATCH_PX, LandmarkMap, Noise, Surface, SurfaceCamera
 from ..errors import FormatError
 from ..io.values import text
 from ..types import Array, Features
@@ -13,7 +13,6 @@ from .kinematic.storage import insist, insist_rigid
 
 if TYPE_CHECKING:
     from ..kinematics.joint_motion import JointMotion
-    from ..kinematics.landmark_map import LandmarkMap
     from ..kinematics.landmarks import LandmarkModel
 
 SHAPES = {
@@ -181,11 +180,8 @@ def build(header: Mapping[str, Any], found: Sequence[Mapping[str, Array]]) -> Su
     return surface
 
 
-def _landmarks(where: str, own: Mapping[str, Array]) -> "LandmarkMap":
+def _landmarks(where: str, own: Mapping[str, Array]) -> LandmarkMap:
     """The map of a camera from its arrays; ValueError for inconsistent fields."""
-    from ..kinematics.landmark_map import LandmarkMap
-    from ..perception.surface.patches import PATCH_PX
-
     numbers = dict[str, Array]()
     for field, most in (("body", _MOST_SIDE), ("view_of", len(own["body"]) - 1)):
         value = own[field]

@@ -1,9 +1,10 @@
-"""A map of landmarks: where each lies on its link, given what all share, and how it looked from a few sides."""
+"""A map of landmarks in images: where each is foretold, from which side, and the map as a prior of their places."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..body_model import LandmarkMap
 from ..types import Array
 from .landmark_adjustment import Landmarks, PlacePrior
 from .landmarks import LandmarkModel, Sightings
@@ -11,40 +12,6 @@ from .landmarks import LandmarkModel, Sightings
 LEAST_FACING = 0.75
 """Cosine of the angle between the directions of two looks at a landmark, below which they show different things."""
 _NEAREST_M = 0.05
-
-
-@dataclass(frozen=True, eq=False)
-class LandmarkMap:
-    """Landmarks with their views.
-
-    body (K,): numbers of the model's bodies · places (K,3) m on them, at the shared unknowns of the logs learned from ·
-    precision (K,3,3) 1/m² and slopes (K,3,P) m: of places, given those unknowns · view_of (V,): the landmark of each
-    view, ascending · patches (V,S,S) uint8 · view_slopes (V,2,3) px/m: how the landmark moved in the image by its place
-    there.
-    """
-
-    body: Array
-    places: Array
-    precision: Array
-    slopes: Array
-    view_of: Array
-    patches: Array
-    view_slopes: Array
-
-    @property
-    def count(self) -> int:
-        """The number of landmarks."""
-        return len(self.body)
-
-    def take(self, landmarks: Array) -> "LandmarkMap":
-        """The landmarks with these numbers (k,), ascending, numbered anew."""
-        number = np.full(self.count, -1)
-        number[landmarks] = np.arange(len(landmarks))
-        views = number[self.view_of] >= 0
-        return LandmarkMap(
-            self.body[landmarks], self.places[landmarks], self.precision[landmarks], self.slopes[landmarks],
-            number[self.view_of[views]], self.patches[views], self.view_slopes[views],
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

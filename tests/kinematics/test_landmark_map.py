@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from bodylog.body_model import LandmarkMap
 from bodylog.kinematics.landmark_adjustment import Landmarks, reduce_normal
-from bodylog.kinematics.landmark_map import LandmarkMap, foretell, nearest_views, place_prior, view_maps
+from bodylog.kinematics.landmark_map import foretell, nearest_views, place_prior, view_maps
 from bodylog.kinematics.landmarks import Belief, LandmarkModel, Sightings
 
 from .test_landmarks import model, motion, seen, truth

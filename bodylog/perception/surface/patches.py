@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...body_model import PATCH_PX
 from ...types import Array
 
-PATCH_PX = 25
-"""Side of a stored picture."""
 _TEMPLATE_PX = 17
 """Side of what is looked for: at 45° it still lies within a picture."""
 LEAST_ALIKE = 0.8
