@@ -44,9 +44,10 @@ _CONTROL_PIECES = 120
 class SurfaceCalibration:
     """A camera's calibration by the surface: the fit, the covariance (P,P) of its unknowns φ, and what it is based on.
 
-    camera: its name, "" the first · logs: that show it, in the order of the fit's delays · moving: pieces that moved ·
-    size (width, height) px · picture (h,w): median of the first log's images, shrunken and grey · joint_of {name in
-    the logs: joint in the URDF} · still: angles, rad or m, of the joints at rest · landmarks: the map that the fit is
+    camera: its name, "" the first · logs: that show it, in the order of the fit's delays · moving: pieces that moved,
+    and the share of them that the tracks' fit uses · size (width, height) px · picture (h,w): median of the first log's
+    images, shrunken and grey · joint_of {name in the logs: joint in the URDF} · still: angles, rad or m, of the joints
+    at rest · delays (L,) s ± delay_std (L,), by tracks, which follow every image · landmarks: the map that the fit is
     of; None where it is of tracks, as too few landmarks are found again.
     """
 
@@ -55,10 +56,13 @@ class SurfaceCalibration:
     fit: "LandmarkFit"
     covariance: Array
     moving: int
+    used_share: float
     size: tuple[int, int]
     picture: Array | None
     joint_of: Mapping[str, str]
     still: Mapping[str, float]
+    delays: Array
+    delay_std: Array
     landmarks: "LandmarkMap | None" = None
 
 
@@ -81,6 +85,8 @@ def calibrate_cameras(
     The logs have one camera, lens, row time and zeros; each has a delay. ModelError where no joint of the URDF is in a
     log, EvidenceError where no joint moves.
     """
+    import numpy as np
+
     from .robot_model import named_robot
 
     first, read = logs[0]
@@ -100,9 +106,14 @@ def calibrate_cameras(
         rest = {joint: still[joint] for joint in robot.by_name if joint in still}
         seen_by = tuple(film.log for film in films)
         size, picture = films[0].tracks.size, films[0].picture
+        delays = fit.phi[fit.model.of_delays]
+        delay_std = np.sqrt(np.diag(unknowns_covariance(fit)))[fit.model.of_delays]
+        used_share = len(fit.used) / moving
         fit, landmarks = (fit, None) if mapped is None else mapped
+        covariance = unknowns_covariance(fit)
         yield SurfaceCalibration(
-            name, seen_by, fit, unknowns_covariance(fit), moving, size, picture, joint_of, rest, landmarks
+            name, seen_by, fit, covariance, moving, used_share, size, picture, joint_of, rest, delays, delay_std,
+            landmarks,
         )  # fmt: skip
 
 

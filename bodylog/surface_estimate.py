@@ -129,6 +129,9 @@ def judge(
     shift = picture_shift(camera.picture, picture, camera.size[0])
     may_move = shift is None or shift > _SAME_PICTURE_PX
     changes = _weighed_changes(fit, belief, may_move)
+    delay = fit.model.of_delays.start
+    # tracks follow every image, landmarks are looked for in some
+    late = float(fit.phi[delay]), float(np.sqrt(unknowns_covariance(fit)[delay, delay]))
     if camera.landmarks is not None:
         film = camera_film(log, read, camera.name)
         keys = key_frames(film, tracks.t)
@@ -136,9 +139,6 @@ def judge(
         if by_landmarks is not None:
             fit, belief = by_landmarks
             changes = _weighed_changes(fit, belief, may_move)
-    covariance = unknowns_covariance(fit)
-    delay = fit.model.of_delays.start
-    late = float(fit.phi[delay]), float(np.sqrt(covariance[delay, delay]))
     names = {joint: name for name, joint in surface.joint_of.items()}
     sure = tuple(names[one.name] for one in changes if one.beforehand and one.std <= LEAST * one.beforehand)
     return Judged(camera.name, late, changes, sure, shift)
