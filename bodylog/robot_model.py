@@ -125,8 +125,8 @@ def check(logs: Sequence[Path], settings: Settings) -> str | None:
     chosen = settings.kinematics
     if not chosen.use or chosen.urdf in (None, FROM_LOG) or settings.fit.preset == "paper":
         return None
-    from .kinematics.joint_names import match_joints
     from .kinematics import urdf
+    from .kinematics.joint_names import match_joints
     from .recording.robot_description import described
 
     found = urdf.load(Path(str(chosen.urdf)), settings.input)
