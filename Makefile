@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 C_FILES := $(shell find bodylog -name '*.[ch]')
 
-.PHONY: demo test test-all lint soak bench validation wheel docs site clean
+.PHONY: demo demo-bare test test-all lint soak bench validation wheel docs site clean
 
 $(VENV)/installed: pyproject.toml setup.py $(C_FILES)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -26,6 +26,15 @@ demo: $(VENV)/installed
 	@echo "The annotated log, for any MCAP viewer:  $(CURDIR)/demo/estimate.mcap"
 	@echo "The report, for a browser:               $(CURDIR)/demo/report.html"
 	@echo "Figures:                                 $(CURDIR)/demo/figures"
+
+# The same without a marker: the URDF in the log, and the texture of the links.
+demo-bare: $(VENV)/installed
+	mkdir -p demo
+	$(BIN)/bodylog record babble --full --scene bare -o demo/bare_explore.mcap --seed 1 --duration 24
+	$(BIN)/bodylog record drift --scene bare -o demo/bare_drift.mcap --seed 2 --duration 12
+	$(BIN)/bodylog fit demo/bare_explore.mcap --urdf log -o demo/bare_body.npz
+	$(BIN)/bodylog estimate demo/bare_drift.mcap --body demo/bare_body.npz -o demo/bare_estimate.mcap
+	$(BIN)/bodylog calibration demo/bare_body.npz
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .

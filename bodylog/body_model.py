@@ -8,6 +8,8 @@ from .logs.records import Array
 
 UNUSED_URDF = "unused_urdf"
 """In a body's provenance: why the URDF that it was given is not used."""
+PATCH_PX = 25
+"""Side of the pictures of landmarks."""
 WITHOUT_URDF = "or type --no-urdf"
 """What else to do where a URDF does not fit: the end of the remark that it is not used."""
 
@@ -45,13 +47,49 @@ class TouchConstants:
 
 
 @dataclass(frozen=True, eq=False)
+class LandmarkMap:
+    """Landmarks with their views.
+
+    body (K,): numbers of the model's bodies · places (K,3) m on them, at the shared unknowns of the logs learned from ·
+    precision (K,3,3) 1/m² and slopes (K,3,P) m: of places, given those unknowns · view_of (V,): the landmark of each
+    view, ascending · patches (V,S,S) uint8 · view_slopes (V,2,3) px/m: how the landmark moved in the image by its place
+    there.
+    """
+
+    body: Array
+    places: Array
+    precision: Array
+    slopes: Array
+    view_of: Array
+    patches: Array
+    view_slopes: Array
+
+    @property
+    def count(self) -> int:
+        """The number of landmarks."""
+        return len(self.body)
+
+    def take(self, landmarks: Array) -> "LandmarkMap":
+        """The landmarks with these numbers (k,), ascending, numbered anew."""
+        import numpy as np
+
+        number = np.full(self.count, -1)
+        number[landmarks] = np.arange(len(landmarks))
+        views = number[self.view_of] >= 0
+        return LandmarkMap(
+            self.body[landmarks], self.places[landmarks], self.precision[landmarks], self.slopes[landmarks],
+            number[self.view_of[views]], self.patches[views], self.view_slopes[views],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
 class SurfaceCamera:
     """A camera that was calibrated by the robot's own surface.
 
     size (width, height) px · anchor (4,4): its link in the camera before calibration, m · lens (6,) and doubt (12,):
     prior mean, and prior std of pose and lens · unknowns (P,) ± covariance (P,P): pose (6), lens (6), each joint's
     zero, row time (s) · delays (L,) s ± delay_std of the logs learned from · picture (h,w): their first log's median
-    image, shrunken, grey levels.
+    image, shrunken, grey levels · landmarks: places on the links that are found again; None where too few are.
     """
 
     name: str
@@ -66,6 +104,7 @@ class SurfaceCamera:
     delays: Array
     delay_std: Array
     picture: Array
+    landmarks: LandmarkMap | None = None
 
 
 @dataclass(frozen=True, eq=False)

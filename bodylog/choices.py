@@ -18,6 +18,7 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
 ARMS = ("ur5", "seven")
 IMAGES = ("jpeg", "raw")
 FEATURES = ("ball", "tag", "none")
+SCENES = ("plain", "bare")
 CAMERAS = ("head", "wrist")
 PLACES = ("right", "left", "centre")
 HARDWARE: Mapping[str, str] = {

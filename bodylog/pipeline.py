@@ -17,7 +17,7 @@ from .checks import (
     same_size,
     to_learn,
 )
-from .errors import EvidenceError, InputError, UsageError
+from .errors import EvidenceError, InputError, ModelError, UsageError
 from .fault_findings import fault_warnings, sighting_findings, truth_findings
 from .io.atomic_files import sha256
 from .io.outputs import Output
@@ -119,9 +119,13 @@ def fit(
     if known is not None and known.surface is not None:
         raise UsageError(f"{update}: a body of the robot's surface is not learned on; fit all logs together anew")
     settings = settings if known is None else default_features.of_body(known, settings)
-    robot_model.check(logs, settings)
+    otherwise = robot_model.check(logs, settings)
     if surface_body.is_asked(settings):
         return _fit_surface(logs, out, settings, test)
+    if otherwise is not None and default_features.unconfigured(settings):
+        return _fit_surface(logs, out, settings, test, otherwise)
+    if otherwise is not None:
+        raise ModelError(f"{otherwise}; rename them in the URDF")
     digests, observed, camera_findings = [], [], list[Finding]()
     for log in logs:
         with Copy(log) as read_too:

@@ -117,20 +117,31 @@ def with_coordinates(settings: Settings, robot: "Robotics | None") -> Settings:
     return replace(settings, body=replace(settings.body, joints=names))
 
 
-def check(logs: Sequence[Path], settings: Settings) -> None:
-    """Check a URDF before images are read: FormatError if it is invalid, ModelError without any of the joints."""
+def check(logs: Sequence[Path], settings: Settings) -> str | None:
+    """Check a URDF before images are read: FormatError if it is invalid, ModelError without any of the joints.
+
+    Why a marker cannot be placed on it, where it has a log's joints by names that are spelt otherwise; else None.
+    """
     chosen = settings.kinematics
     if not chosen.use or chosen.urdf in (None, FROM_LOG) or settings.fit.preset == "paper":
-        return
+        return None
     from .kinematics import urdf
+    from .kinematics.joint_names import match_joints
     from .recording.robot_description import described
 
     found = urdf.load(Path(str(chosen.urdf)), settings.input)
+    otherwise = None
     for log in logs:
         names = described(log, settings.input).joints
-        if names and not set(names) & set(found.by_name):
+        if not names or set(names) & set(found.by_name):
+            continue
+        alike = match_joints(names, found.by_name)
+        if not alike:
             have = ", ".join(list(found.by_name)[:12]) or "none"
             raise ModelError(f"{chosen.urdf}: none of the joints of {log} ({', '.join(names)}) is in it; it has {have}")
+        name, joint = next(iter(alike.items()))
+        otherwise = f"{log}: its {name} is {joint} in {chosen.urdf}; a marker needs joints of the same names"
+    return otherwise
 
 
 def limits(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":

@@ -73,11 +73,11 @@ def _camera(one: SurfaceCalibration, topic: str) -> SurfaceCamera:
     placed = model.rig.cameras[0]
     delays = np.arange(model.of_delays.start, model.of_delays.stop)
     shared = np.setdiff1d(np.arange(len(phi)), delays)
-    std = np.sqrt(np.diag(one.covariance))
     assert one.picture is not None
     return SurfaceCamera(
         one.camera or "camera", topic, placed.link, one.size, placed.anchor, placed.lens, placed.doubt, phi[shared],
-        one.covariance[np.ix_(shared, shared)], phi[delays], std[delays], one.picture.astype(np.float64),
+        one.covariance[np.ix_(shared, shared)], one.delays, one.delay_std, one.picture.astype(np.float64),
+        one.landmarks,
     )  # fmt: skip
 
 
@@ -92,10 +92,7 @@ def _topic(read: Recording, camera: str) -> str:
 
 def _scores(one: SurfaceCalibration) -> Iterator[Score]:
     """Its scores, with the logs' delays as one each where there are several."""
-    import numpy as np
-
     yield from scores_of(one)
-    model, std = one.fit.model, np.sqrt(np.diag(one.covariance))
     name = one.camera or "camera"
-    for number, index in enumerate(range(model.of_delays.start + 1, model.of_delays.stop), 2):
-        yield Score(f"delay/{name}/{number}", float(one.fit.phi[index]), "s", float(std[index]))
+    for number, (seconds, std) in enumerate(zip(one.delays[1:], one.delay_std[1:], strict=True), 2):
+        yield Score(f"delay/{name}/{number}", float(seconds), "s", float(std))

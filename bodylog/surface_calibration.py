@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .errors import EvidenceError, ModelError
+from .surface_map import build_map
 from .types import Array, Frame, Recording, Series
 
 if TYPE_CHECKING:
+    from .body_model import LandmarkMap
     from .kinematics.joint_motion import JointMotion
     from .kinematics.landmark_fit import LandmarkFit
     from .kinematics.landmarks import LandmarkModel, Sightings
@@ -42,9 +44,11 @@ _CONTROL_PIECES = 120
 class SurfaceCalibration:
     """A camera's calibration by the surface: the fit, the covariance (P,P) of its unknowns φ, and what it is based on.
 
-    camera: its name, "" the first · logs: that show it, in the order of the fit's delays · moving: pieces that moved ·
-    size (width, height) px · picture (h,w): median of the first log's images, shrunken and grey · joint_of {name in
-    the logs: joint in the URDF} · still: angles, rad or m, of the joints at rest.
+    camera: its name, "" the first · logs: that show it, in the order of the fit's delays · moving: pieces that moved,
+    and the share of them that the tracks' fit uses · size (width, height) px · picture (h,w): median of the first log's
+    images, shrunken and grey · joint_of {name in the logs: joint in the URDF} · still: angles, rad or m, of the joints
+    at rest · delays (L,) s ± delay_std (L,), by tracks, which follow every image · landmarks: the map that the fit is
+    of; None where it is of tracks, as too few landmarks are found again.
     """
 
     camera: str
@@ -52,20 +56,25 @@ class SurfaceCalibration:
     fit: "LandmarkFit"
     covariance: Array
     moving: int
+    used_share: float
     size: tuple[int, int]
     picture: Array | None
     joint_of: Mapping[str, str]
     still: Mapping[str, float]
+    delays: Array
+    delay_std: Array
+    landmarks: "LandmarkMap | None" = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Film:
-    """What one log shows through one camera: its number among the logs, its tracks and its median picture."""
+    """What one log shows through one camera: its number among the logs, its tracks, its median picture, its frames."""
 
     log: Path
     number: int
     tracks: "CornerTracks"
     picture: Array | None
+    frames: Callable[[], Iterator[Frame]]
 
 
 def calibrate_cameras(
@@ -76,6 +85,8 @@ def calibrate_cameras(
     The logs have one camera, lens, row time and zeros; each has a delay. ModelError where no joint of the URDF is in a
     log, EvidenceError where no joint moves.
     """
+    import numpy as np
+
     from .robot_model import named_robot
 
     first, read = logs[0]
@@ -85,7 +96,8 @@ def calibrate_cameras(
     for name in dict.fromkeys(name for _, one in logs for name in _films(one)):
         try:
             films = list(_tracked(logs, name))
-            fit, moving = _calibrated(name, films, robot, motions, joint_of, still, hints.get(name), settings)
+            fit, seen, moving = _calibrated(name, films, robot, motions, joint_of, still, hints.get(name), settings)
+            mapped = build_map(fit, seen, [(one.frames, one.tracks.t) for one in films])
         except EvidenceError as problem:
             yield problem
             continue
@@ -94,7 +106,15 @@ def calibrate_cameras(
         rest = {joint: still[joint] for joint in robot.by_name if joint in still}
         seen_by = tuple(film.log for film in films)
         size, picture = films[0].tracks.size, films[0].picture
-        yield SurfaceCalibration(name, seen_by, fit, unknowns_covariance(fit), moving, size, picture, joint_of, rest)
+        delays = fit.phi[fit.model.of_delays]
+        delay_std = np.sqrt(np.diag(unknowns_covariance(fit)))[fit.model.of_delays]
+        used_share = len(fit.used) / moving
+        fit, landmarks = (fit, None) if mapped is None else mapped
+        covariance = unknowns_covariance(fit)
+        yield SurfaceCalibration(
+            name, seen_by, fit, covariance, moving, used_share, size, picture, joint_of, rest, delays, delay_std,
+            landmarks,
+        )  # fmt: skip
 
 
 def _films(read: Recording) -> dict[str, Callable[[], Iterator[Frame]]]:
@@ -201,7 +221,15 @@ def _tracked(logs: Sequence[tuple[Path, Recording]], camera: str) -> Iterator[_F
             found, first = ("x".join(map(str, one)) for one in (tracks.size, size))
             where = f"{log}: {camera or 'camera'}"
             raise EvidenceError(f"{where}: images of {found} px, of {first} px in the first log; fit them apart")
-        yield _Film(log, number, tracks, picture)
+        yield _Film(log, number, tracks, picture, film)
+
+
+def camera_film(log: Path, read: Recording, camera: str) -> Callable[[], Iterator[Frame]]:
+    """The frames of a camera, "camera" the first. EvidenceError without it."""
+    film = _films(read).get("" if camera == "camera" else camera)
+    if film is None:
+        raise EvidenceError(f"{log}: {camera}: no images of it in this log")
+    return film
 
 
 def track_camera(log: Path, read: Recording, camera: str) -> "tuple[CornerTracks, Array | None]":
@@ -209,10 +237,7 @@ def track_camera(log: Path, read: Recording, camera: str) -> "tuple[CornerTracks
 
     EvidenceError without the camera, or where too little moves.
     """
-    film = _films(read).get("" if camera == "camera" else camera)
-    if film is None:
-        raise EvidenceError(f"{log}: {camera}: no images of it in this log")
-    return _moving_tracks(f"{log}: {camera}", film)
+    return _moving_tracks(f"{log}: {camera}", camera_film(log, read, camera))
 
 
 def _moving_tracks(where: str, film: Callable[[], Iterator[Frame]]) -> "tuple[CornerTracks, Array | None]":
@@ -229,8 +254,8 @@ def _moving_tracks(where: str, film: Callable[[], Iterator[Frame]]) -> "tuple[Co
 def _calibrated(
     name: str, films: Sequence[_Film], robot: "Robot", motions: "Sequence[JointMotion]", joint_of: Mapping[str, str],
     still: Mapping[str, float], hint: "CameraHint | None", settings: "Settings",
-) -> "tuple[LandmarkFit, int]":  # fmt: skip
-    """The fit of one camera, and the number of pieces it was tried on; EvidenceError where the arm is not seen."""
+) -> "tuple[LandmarkFit, Sightings, int]":  # fmt: skip
+    """The fit of one camera, all moving pieces, and how many it was tried on; EvidenceError where no arm is seen."""
     from math import radians
 
     from .kinematics.landmark_fit import build_model, choose_pieces
@@ -258,7 +283,7 @@ def _calibrated(
         count = 0 if best is None else len(best.used)
         raise EvidenceError(f"{where}: the joints explain {count} of {part.count} moving corners; no arm is seen")
     _require_belonging(name, films, best, part)
-    return best, part.count
+    return best, seen, part.count
 
 
 def explains(fit: "LandmarkFit", part: "Sightings") -> bool:

@@ -1,6 +1,6 @@
 """The estimate of a log by a body of the robot's surface: its encoders, less the offsets that the surface shows."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,15 +14,18 @@ from .surface_calibration import (
     LONGEST_S,
     MOST_IMAGES,
     ROW_STRIDE,
+    camera_film,
     control_counts,
     explains,
     smoothed_motion,
     track_camera,
 )
+from .surface_map import KeyFrames, find_again, key_frames, refine
 from .types import EITHER, Array, Estimate, Fault, Features, Finding, Recording
 
 if TYPE_CHECKING:
     from .kinematics.joint_motion import JointMotion
+    from .kinematics.landmark_fit import LandmarkFit
     from .kinematics.landmark_hypotheses import Change
     from .kinematics.landmarks import Belief, LandmarkModel
 
@@ -40,6 +43,13 @@ _SAME_PICTURE_PX = 1.5
 """Shift of the still scene, px of the full image, within which a camera did not move."""
 _LEAST_ALIKE = 0.9
 """Correlation of two pictures of one scene, the arm elsewhere; less is another scene."""
+_SOUND_CHANGE = 0.0015
+"""rad (m: a tenth): how far a sound joint's zero differs between logs, one standard deviation."""
+_SWAY = 0.002
+"""m and rad: how far a camera that did not move differs between logs, one standard deviation."""
+_SEARCHED_IMAGES = 12
+"""Images in which landmarks are looked for under each hypothesis."""
+_SEARCH_REACH_PX = 10
 _BLUR_PX = 1.0
 """Blur of the shrunken pictures, so that pixels between others can be compared."""
 
@@ -116,16 +126,100 @@ def judge(
     if (control := int(control_counts(fit, part)[0])) > 0.6 * len(fit.used):
         why = f"the joints of another time explain the corners as well ({control} against {len(fit.used)})"
         raise EvidenceError(f"{log}: {camera.name}: {why}; the surface says nothing")
-    covariance = unknowns_covariance(fit)
-    told = hypotheses.information(free, fit.phi, covariance)
     shift = picture_shift(camera.picture, picture, camera.size[0])
     may_move = shift is None or shift > _SAME_PICTURE_PX
-    changes = hypotheses.weigh(model, belief, told, may_move)
-    delay = model.of_delays.start
-    late = float(fit.phi[delay]), float(np.sqrt(covariance[delay, delay]))
+    changes = _weighed_changes(fit, belief, may_move)
+    delay = fit.model.of_delays.start
+    # tracks follow every image, landmarks are looked for in some
+    late = float(fit.phi[delay]), float(np.sqrt(unknowns_covariance(fit)[delay, delay]))
+    if camera.landmarks is not None:
+        film = camera_film(log, read, camera.name)
+        keys = key_frames(film, tracks.t)
+        by_landmarks = _by_landmarks(camera, fit, belief, changes, keys, may_move)
+        if by_landmarks is not None:
+            fit, belief = by_landmarks
+            changes = _weighed_changes(fit, belief, may_move)
     names = {joint: name for name, joint in surface.joint_of.items()}
     sure = tuple(names[one.name] for one in changes if one.beforehand and one.std <= LEAST * one.beforehand)
     return Judged(camera.name, late, changes, sure, shift)
+
+
+def _weighed_changes(fit: "LandmarkFit", belief: "Belief", camera_may_move: bool) -> "list[Change]":
+    from .kinematics.landmark_errors import unknowns_covariance
+    from .kinematics.landmark_hypotheses import information, weigh
+
+    told = information(fit.model, fit.phi, unknowns_covariance(fit))
+    return weigh(fit.model, belief, told, camera_may_move)
+
+
+def _by_landmarks(
+    camera: SurfaceCamera, fit: "LandmarkFit", belief: "Belief", changes: "Sequence[Change]", keys: KeyFrames,
+    camera_may_move: bool,
+) -> "tuple[LandmarkFit, Belief] | None":  # fmt: skip
+    """Adjust from the body's landmarks alone, found again in some images, and what is believed of these unknowns.
+
+    fit, belief and changes are by tracks: each change foretells where the landmarks are, and the one under which most
+    are found is the start. None where too few are.
+    """
+    import numpy as np
+
+    from .kinematics.landmark_adjustment import Landmarks
+    from .kinematics.landmark_hypotheses import widened
+    from .kinematics.landmark_map import place_prior
+
+    known = camera.landmarks
+    assert known is not None
+    model = replace(fit.model, belief=None, changes=True)
+    unchanged = _belief_of_changes(model, belief)
+    free_model = widened(model, unchanged, camera_may_move)
+    learned = np.delete(np.arange(len(belief.mean)), model.of_delays.start)
+    prior = place_prior(known, learned, unchanged.mean, camera.unknowns)
+    landmarks = Landmarks(known.body, known.places, prior)
+    stride = max(len(keys.t) // _SEARCHED_IMAGES, 1)
+    counts = []
+    starts = list(_starts(free_model, fit, belief, changes))
+    for phi in starts:
+        found = find_again(free_model, phi, known, landmarks, [keys], _SEARCH_REACH_PX, stride)
+        counts.append(0 if found is None else len(found.seen.t))
+    free = np.ones(len(unchanged.mean), bool)
+    free[: len(belief.mean)] = fit.free
+    free[learned] = True
+    refined = refine(free_model, starts[int(np.argmax(counts))], free, known, landmarks, [keys])
+    return None if refined is None else (refined[0], unchanged)
+
+
+def _belief_of_changes(model: "LandmarkModel", belief: "Belief") -> "Belief":
+    """A belief of φ with the changes since the map, which are none but what sound logs differ by."""
+    import numpy as np
+
+    from .kinematics.landmarks import Belief
+
+    count = len(belief.mean)
+    std = np.full(count + 6 + len(model.rig.joints), _SWAY)
+    for joint, index in enumerate(range(model.of_changes.start, model.of_changes.stop)):
+        std[index] = _SOUND_CHANGE * (0.1 if model.rig.slides(joint) else 1.0)
+    mean, covariance = np.zeros(len(std)), np.diag(std**2)
+    mean[:count] = belief.mean
+    covariance[:count, :count] = belief.covariance
+    return Belief(mean, covariance)
+
+
+def _starts(
+    model: "LandmarkModel", fit: "LandmarkFit", belief: "Belief", changes: "Sequence[Change]"
+) -> "Iterator[Array]":
+    """Yield unknowns φ with each change that tracks show, and with all of them at once."""
+    rig = model.rig
+    sound = model.prior[0].copy()
+    sound[model.of_delays] = fit.phi[fit.model.of_delays]
+    for change in changes:
+        phi = sound.copy()
+        if change.name in rig.joints:
+            phi[model.of_changes.start + rig.joints.index(change.name)] = change.value
+        yield phi
+    phi = sound.copy()
+    phi[model.of_camera_change] = fit.phi[:6] - belief.mean[:6]
+    phi[model.of_changes] = (fit.phi - belief.mean)[rig.of_joints]
+    yield phi
 
 
 def _belief(model: "LandmarkModel", camera: SurfaceCamera) -> "Belief":

@@ -70,16 +70,16 @@ def scores_of(one: SurfaceCalibration) -> Iterator[Score]:
     name = one.camera or "camera"
     fit, std = one.fit, np.sqrt(np.diag(one.covariance))
     model = fit.model
-    delay, row = model.of_delays.start, model.of_row_time
+    row = model.of_row_time
     focal = float(np.exp(fit.phi[6]))
-    yield Score(f"delay/{name}", float(fit.phi[delay]), "s")
-    yield Score(f"std/delay/{name}", float(std[delay]), "s")
+    yield Score(f"delay/{name}", float(one.delays[0]), "s")
+    yield Score(f"std/delay/{name}", float(one.delay_std[0]), "s")
     yield Score(f"row_time/{name}", float(fit.phi[row]), "s")
     yield Score(f"std/row_time/{name}", float(std[row]), "s")
     yield Score(f"focal/{name}", focal, "px")
     yield Score(f"std/focal/{name}", focal * float(std[6]), "px")
     yield Score(f"rmse/surface/{name}", fit.error_px, "px")
-    yield Score(f"used_share/{name}", len(fit.used) / one.moving, "1")
+    yield Score(f"used_share/{name}", one.used_share, "1")
     yield from zeros(offsets(model.rig, fit.phi, one.covariance))
 
 
@@ -94,9 +94,12 @@ def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
     fit, std = one.fit, np.sqrt(np.diag(one.covariance))
     model = fit.model
     links = len({int(body) for body in fit.landmarks.body if len(model.bodies[int(body)].chain.column)})
-    text = f"{len(fit.used)} of {one.moving} moving corners lie on {links} links, {fit.error_px:.2f} px off per axis"
+    used = f"{len(fit.used)} of {one.moving} moving corners lie on"
+    if one.landmarks is not None:
+        used = f"{one.landmarks.count} landmarks are found again and again on"
+    text = f"{used} {links} links, {fit.error_px:.2f} px off per axis"
     yield Finding("info", f"{name}: {text}")
-    delay, error = float(fit.phi[model.of_delays.start]), float(std[model.of_delays.start])
+    delay, error = float(one.delays[0]), float(one.delay_std[0])
     words = f"{name}: {worded(delay, error)}, by the robot's surface"
     if abs(delay) > max(SIGNIFICANT_SIGMA * error, LATE_S):
         yield Finding("warning", f"{words}; fit and estimate measure and correct it")

@@ -53,6 +53,13 @@ SCENARIO is one of {", ".join(choices.VARIANTS)}.
 @click.option("--clutter", is_flag=True, help="Things of the feature's colour, a foreign tag, furniture.")
 @click.option("--split-joints", is_flag=True, help="Arm, head and gripper on topics of their own.")
 @click.option("--camera", type=Choice(choices.CAMERAS), default="head", show_default=True)
+@click.option(
+    "--scene",
+    type=Choice(choices.SCENES),
+    default="plain",
+    show_default=True,
+    help="bare: no feature; links and wall have a texture.",
+)
 @click.option("--hardware", default="", metavar="NAME=SIZE,...", help="Errors of real joints and encoders (see below).")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 def record(scenario: str, out: Path, size: str, as_json: bool, **options: Any) -> int:

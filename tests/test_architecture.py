@@ -45,7 +45,7 @@ LAYERS = (
     {"observed", "written_messages"},
     {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "calibration",
      "joints_only", "learned_tests", "misfit", "next_postures", "online", "scoring",
-     "surface_calibration", "verdict"},
+     "surface_calibration", "surface_map", "verdict"},
     {"delay_findings", "flow_findings", "headline", "log_estimate", "result"},
     {"surface_estimate"},
     {"surface_findings"},

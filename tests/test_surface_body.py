@@ -11,7 +11,7 @@ import pytest
 from bodylog import calibration
 from bodylog.body import storage
 from bodylog.body.surface import landmark_model
-from bodylog.body_model import BodyModel, Noise, Surface, SurfaceCamera, TouchConstants
+from bodylog.body_model import BodyModel, LandmarkMap, Noise, Surface, SurfaceCamera, TouchConstants
 from bodylog.errors import ModelError
 from bodylog.surface_estimate import picture_shift
 
@@ -27,6 +27,17 @@ PAN_ONLY = """<robot name="arm"><link name="base"/><link name="a"/><link name="b
 SURFACE_TOML = "[features]\narm = { surface = true }\n"
 
 
+def small_map() -> LandmarkMap:
+    """Two landmarks on the last two links, with three views."""
+    rng = np.random.default_rng(4)
+    patches = rng.integers(0, 256, (3, 25, 25)).astype(np.uint8)
+    slopes = np.array([[300.0, 0.0, 0.0], [0.0, 300.0, 0.0]]) + rng.uniform(-1.0, 1.0, (3, 2, 3))
+    return LandmarkMap(
+        np.array([2, 3]), rng.uniform(-0.2, 0.2, (2, 3)), np.stack([1e6 * np.eye(3)] * 2), np.zeros((2, 3, 16)),
+        np.array([0, 0, 1]), patches, slopes,
+    )  # fmt: skip
+
+
 def surface_body() -> BodyModel:
     lens = np.array([np.log(300.0), 0.0, 160.0, 120.0, 0.0, 0.0])
     anchor = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.4], [-1.0, 0.0, 0.0, 1.6], [0.0, 0.0, 0.0, 1.0]])
@@ -34,7 +45,7 @@ def surface_body() -> BodyModel:
     std = np.concatenate([np.full(6, 0.01), [0.01, 0.002, 5.0, 5.0, 0.02, 0.02], [0.008, 0.01, 0.2], [0.02]])
     camera = SurfaceCamera(
         "camera", "/camera/color/image_raw/compressed", "base", (320, 240), anchor, lens, np.full(12, 0.1), unknowns,
-        np.diag(std**2), np.array([0.02]), np.array([0.002]), np.full((60, 80), 90.0),
+        np.diag(std**2), np.array([0.02]), np.array([0.002]), np.full((60, 80), 90.0), small_map(),
     )  # fmt: skip
     surface = Surface(PAN_ONLY, {name: name for name in JOINTS}, {}, np.radians(5.0), (camera,))
     noise = Noise((1e-6,) * 3, {}, (1.0,) * 3)
@@ -66,6 +77,9 @@ def test_file_holds_the_body_and_is_the_same_each_time(body):
     known = surface_body().surface
     assert again.surface.joint_of == known.joint_of
     np.testing.assert_array_equal(again.surface.cameras[0].covariance, known.cameras[0].covariance)
+    for field in ("body", "places", "precision", "slopes", "view_of", "patches", "view_slopes"):
+        found = getattr(again.surface.cameras[0].landmarks, field)
+        np.testing.assert_array_equal(found, getattr(small_map(), field))
     assert landmark_model(again.surface, again.surface.cameras[0]).rig.joints == JOINTS
     twice = body.with_name("twice.npz")
     storage.save(again, twice)
@@ -80,6 +94,13 @@ def test_file_holds_the_body_and_is_the_same_each_time(body):
         ("surface.0/unknowns.npy", lambda m: m[:-1], "surface.0/"),
         ("surface.0/lens.npy", lambda m: np.full(6, np.nan), "surface.0/lens"),
         ("surface.0/delay_std.npy", lambda m: 0.0 * m, "surface.0/delay_std"),
+        ("surface.0/body.npy", lambda m: m + 7.0, "surface.0/body"),
+        ("surface.0/view_of.npy", lambda m: m + 0.5, "surface.0/view_of"),
+        ("surface.0/view_of.npy", lambda m: m[::-1], "surface.0/view_of"),
+        ("surface.0/precision.npy", lambda m: -m, "surface.0/precision"),
+        ("surface.0/patches.npy", lambda m: m.astype(float), "surface.0/patches"),
+        ("surface.0/patches.npy", lambda m: m[:, 1:, 1:], "surface.0/patches"),
+        ("surface.0/slopes.npy", lambda m: m[..., 1:], "surface.0/slopes"),
         ("header.npy", lambda m: np.array(str(m).replace('"link": "base"', '"link": "moon"')), "moon"),
         ("header.npy", lambda m: np.array(str(m).replace("revolute", "round")), "surface.urdf"),
         ("header.npy", lambda m: np.array(str(m).replace('"size": [320, 240]', '"size": [640]')), "surface.cameras"),

@@ -47,3 +47,20 @@ def test_urdf_of_other_joints_is_refused_before_reading_images(tmp_path):
     check([table(tmp_path / "poses.csv")], chosen)
     with pytest.raises(ModelError, match=r"none of the joints of .*other.csv \(a, b, c, d\) is in it; it has"):
         check([table(tmp_path / "other.csv", "abcd")], chosen)
+
+
+def test_urdf_that_spells_joints_otherwise_is_told(tmp_path, run_cli, capsys):
+    """The robot's surface matches names by their words; a marker does not, and the log has no images."""
+    names = ("kPan", "kLift", "kElbow", "kWrist")
+    spelt = dict(zip(JOINTS, ("pan_joint", "lift_joint", "elbow_joint", "wrist_joint"), strict=False))
+    text = ARM
+    for joint, other in spelt.items():
+        text = text.replace(f'name="{joint}"', f'name="{other}"')
+    (tmp_path / "arm.urdf").write_text(text)
+    chosen = Settings(kinematics=Kinematics(urdf=str(tmp_path / "arm.urdf")))
+    log = table(tmp_path / "poses.csv", names)
+    assert "kPan is pan_joint in" in str(check([log], chosen))
+    assert run_cli("fit", log, "--urdf", tmp_path / "arm.urdf", "-o", tmp_path / "no.npz") == 65
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "images" in line
+    assert not (tmp_path / "no.npz").exists()

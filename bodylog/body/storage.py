@@ -43,7 +43,7 @@ _SHAPES: dict[str, dict[str, str]] = {
     "polynomial": {"coefficients": "mk"},
     "kinematic": _LEARNED | storage.SHAPES,
 }
-_SIZES = {digit: int(digit) for digit in "1346"}
+_SIZES = {digit: int(digit) for digit in "12346"}
 _POSITIVE, _NOT_NEGATIVE = ("scales", "amplitude", "doubt"), ("noise", "spread", "drift")
 
 
@@ -100,8 +100,10 @@ def _surface(path: Path, archive: zipfile.ZipFile, about: Mapping[str, Any]) -> 
     cameras = []
     for number in range(len(about["cameras"])):
         sizes, own = dict(_SIZES), dict[str, Array]()
-        for field, letters in surface_fields.SHAPES.items():
-            own[field] = _checked_array(path, archive, f"surface.{number}/{field}", letters, sizes, -header.LARGEST)
+        shapes = surface_fields.shapes_of(about["cameras"][number])
+        for field, letters in shapes.items():
+            where = f"surface.{number}/{field}"
+            own[field] = _checked_array(path, archive, where, letters, sizes, -header.LARGEST)
         cameras.append(own)
     try:
         return surface_fields.build(about, cameras)
@@ -113,7 +115,8 @@ def _checked_array(
     path: Path, archive: zipfile.ZipFile, name: str, letters: str, sizes: dict[str, int], least: float
 ) -> Array:
     """An array of the shape that letters name, with finite numbers from `least` on; new letters get their sizes."""
-    value = _array(path, archive, f"{name}.npy", "f")
+    kind = "u" if name.endswith("/patches") else "f"
+    value = _array(path, archive, f"{name}.npy", kind)
     found = dict(zip(letters, value.shape, strict=False))
     expected = tuple(sizes.setdefault(letter, found.get(letter, 0)) for letter in letters)
     if value.shape != expected or 0 in expected:
@@ -148,7 +151,7 @@ def _sense(
 
 
 def _array(path: Path, archive: zipfile.ZipFile, member: str, kind: str) -> Array:
-    """Read one array of dtype kind "f" (float64) or "U"; its declared size must match the archive's."""
+    """Read one array of dtype kind "f" (float64), "u" (uint8) or "U"; its declared size must match the archive's."""
     try:
         info = archive.getinfo(member)
     except KeyError as error:
@@ -162,7 +165,8 @@ def _array(path: Path, archive: zipfile.ZipFile, member: str, kind: str) -> Arra
             raise ModelError(f"{path}: field {member[:-4]}: not an array; fit the body again") from error
         size = info.file_size - stream.tell()
         whole = all(type(n) is int and 0 <= n <= info.file_size for n in shape)
-        sound = whole and (dtype.kind == "U" if kind == "U" else dtype == np.dtype("<f8"))
+        expected = {"f": np.dtype("<f8"), "u": np.dtype("u1")}
+        sound = whole and (dtype.kind == "U" if kind == "U" else dtype == expected[kind])
         if not sound or size != int(np.prod(shape, dtype=object)) * dtype.itemsize:
             raise ModelError(f"{path}: field {member[:-4]}: found {dtype} {shape} in {size} bytes; fit the body again")
     with archive.open(info) as stream:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..body_model import Noise, Surface, SurfaceCamera
+from ..body_model import PATCH_PX, LandmarkMap, Noise, Surface, SurfaceCamera
 from ..errors import FormatError
 from ..io.values import text
 from ..types import Array, Features
@@ -26,6 +26,16 @@ SHAPES = {
     "picture": "hw",
 }
 """Arrays of a camera: c is 12, p the unknowns, l logs, h and w the picture's sides."""
+MAP_SHAPES = {
+    "body": "k",
+    "places": "k3",
+    "precision": "k33",
+    "slopes": "k3p",
+    "view_of": "v",
+    "patches": "vss",
+    "view_slopes": "v23",
+}
+"""Arrays of its map, where it has one: k landmarks, v views of s by s pixels."""
 _POSE_AND_LENS = 12
 _MOST_SIDE = 1 << 20
 _LARGEST = 1e6
@@ -54,7 +64,16 @@ def joint_noise(features: Sequence[Features], names: tuple[str, ...]) -> Noise:
 
 def names(surface: Surface) -> dict[str, Any]:
     """The part of the header."""
-    cameras = [{"name": c.name, "topic": c.topic, "link": c.link, "size": list(c.size)} for c in surface.cameras]
+    cameras = [
+        {
+            "name": camera.name,
+            "topic": camera.topic,
+            "link": camera.link,
+            "size": list(camera.size),
+            "mapped": camera.landmarks is not None,
+        }
+        for camera in surface.cameras
+    ]
     return {
         "urdf": surface.urdf,
         "joint_of": dict(surface.joint_of),
@@ -66,11 +85,21 @@ def names(surface: Surface) -> dict[str, Any]:
 
 def arrays(surface: Surface) -> dict[str, Array]:
     """The arrays of all cameras by their names in the file."""
-    return {
-        f"surface.{number}/{field}.npy": np.asarray(getattr(camera, field), np.float64)
-        for number, camera in enumerate(surface.cameras)
-        for field in SHAPES
-    }
+    found = dict[str, Array]()
+    for number, camera in enumerate(surface.cameras):
+        where = f"surface.{number}"
+        for field in SHAPES:
+            found[f"{where}/{field}.npy"] = np.asarray(getattr(camera, field), np.float64)
+        if camera.landmarks is not None:
+            for field in MAP_SHAPES:
+                kind = np.uint8 if field == "patches" else np.float64
+                found[f"{where}/{field}.npy"] = np.asarray(getattr(camera.landmarks, field), kind)
+    return found
+
+
+def shapes_of(camera: Mapping[str, Any]) -> dict[str, str]:
+    """The arrays of a camera of a checked header."""
+    return {**SHAPES, **MAP_SHAPES} if camera["mapped"] else dict(SHAPES)
 
 
 def checked(found: Any, joints: tuple[str, ...]) -> dict[str, Any]:
@@ -101,7 +130,10 @@ def _camera(found: Mapping[str, Any]) -> dict[str, Any]:
     sides = size if isinstance(size, list) and len(size) == 2 else [0, 0]
     whole = all(isinstance(side, int) and not isinstance(side, bool) and 1 <= side <= _MOST_SIDE for side in sides)
     insist(whole, "surface.cameras.size", str(size)[:80], "[width, height] in px")
-    return {**{field: text(found[field]) for field in ("name", "topic", "link")}, "size": tuple(sides)}
+    mapped = found.get("mapped", False)
+    insist(isinstance(mapped, bool), "surface.cameras.mapped", str(mapped)[:80], "true or false")
+    names_of_camera = {field: text(found[field]) for field in ("name", "topic", "link")}
+    return {**names_of_camera, "size": tuple(sides), "mapped": mapped}
 
 
 def _insist_robot(xml: str, joints: Sequence[str], links: Sequence[str]) -> None:
@@ -134,10 +166,39 @@ def build(header: Mapping[str, Any], found: Sequence[Mapping[str, Array]]) -> Su
             insist(largest <= _LARGEST, f"{where}/{field}", largest, f"at most {_LARGEST:g}")
         insist(_is_covariance(own["covariance"]), f"{where}/covariance", "another matrix", "a covariance")
         insist((own["delay_std"] > 0.0).all(), f"{where}/delay_std", float(own["delay_std"].min()), "positive numbers")
-        fields_of_camera: dict[str, Any] = {**about, **own}
-        cameras.append(SurfaceCamera(**fields_of_camera))
+        fields_of_camera: dict[str, Any] = {field: about[field] for field in ("name", "topic", "link", "size")}
+        fields_of_camera |= {field: own[field] for field in SHAPES}
+        landmarks = _landmarks(where, own) if about["mapped"] else None
+        cameras.append(SurfaceCamera(**fields_of_camera, landmarks=landmarks))
     fields = ("urdf", "joint_of", "still", "zero_std")
-    return Surface(**{field: header[field] for field in fields}, cameras=tuple(cameras))
+    surface = Surface(**{field: header[field] for field in fields}, cameras=tuple(cameras))
+    for number, camera in enumerate(cameras):
+        if camera.landmarks is not None:
+            bodies = len(landmark_model(surface, camera).bodies)
+            largest = int(camera.landmarks.body.max())
+            insist(largest < bodies, f"surface.{number}/body", largest, f"numbers below {bodies}")
+    return surface
+
+
+def _landmarks(where: str, own: Mapping[str, Array]) -> LandmarkMap:
+    """The map of a camera from its arrays; ValueError for inconsistent fields."""
+    numbers = dict[str, Array]()
+    for field, most in (("body", _MOST_SIDE), ("view_of", len(own["body"]) - 1)):
+        value = own[field]
+        whole = (value == np.floor(value)) & (value >= 0) & (value <= most)
+        insist(bool(whole.all()), f"{where}/{field}", value[~whole][:1], f"whole numbers from 0 to {most}")
+        numbers[field] = value.astype(int)
+    insist(bool((np.diff(numbers["view_of"]) >= 0).all()), f"{where}/view_of", "a fall", "ascending numbers")
+    side = own["patches"].shape[1]
+    insist(side == PATCH_PX, f"{where}/patches", f"{side} px", f"{PATCH_PX} px")
+    for number, matrix in enumerate(own["precision"]):
+        insist(_is_covariance(matrix), f"{where}/precision", f"another matrix at {number}", "positive definite ones")
+    largest = max(float(np.abs(own[field]).max()) for field in ("places", "slopes", "view_slopes"))
+    insist(largest <= _LARGEST, f"{where}/places", largest, f"at most {_LARGEST:g}")
+    return LandmarkMap(
+        numbers["body"], own["places"], own["precision"], own["slopes"], numbers["view_of"], own["patches"],
+        own["view_slopes"],
+    )  # fmt: skip
 
 
 def _is_covariance(matrix: Array) -> bool:

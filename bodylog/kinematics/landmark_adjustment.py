@@ -1,6 +1,6 @@
 """Gauss-Newton over what landmarks share, with their places eliminated (Schur complement), and their triangulation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,11 +27,35 @@ _NEAREST_M = 0.05
 
 
 @dataclass(frozen=True, eq=False)
+class PlacePrior:
+    """Where earlier logs place landmarks, given what all share: centres (K,3) m + slopes (K,3,P) (φ − at (P,)).
+
+    precision (K,3,3) 1/m²: of places about that, independent between landmarks.
+    """
+
+    centres: Array
+    precision: Array
+    slopes: Array
+    at: Array
+
+    def take(self, landmarks: Array) -> "PlacePrior":
+        """The prior of the landmarks with these numbers (k,)."""
+        centres, precision = self.centres[landmarks], self.precision[landmarks]
+        return PlacePrior(centres, precision, self.slopes[landmarks], self.at)
+
+
+@dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Places (K,3) m of the pieces on bodies with numbers (K,)."""
+    """Places (K,3) m of the pieces on bodies with numbers (K,), and their prior; without one that of their bodies."""
 
     body: Array
     places: Array
+    prior: PlacePrior | None = None
+
+    def take(self, landmarks: Array) -> "Landmarks":
+        """The landmarks with these numbers (k,)."""
+        prior = None if self.prior is None else self.prior.take(landmarks)
+        return Landmarks(self.body[landmarks], self.places[landmarks], prior)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +63,9 @@ class Reduced:
     """The normal equations of the shared unknowns with all places eliminated.
 
     matrix (P,P) · pull (P,) · cost: Huber loss of innovations and priors, twice the nats · place_matrix (K,3,3) ·
-    cross (K,3,P) · place_pull (K,3) · rows (R,2,P): whitened design with places eliminated · innovation (R,2):
-    whitened residuals, in standard deviations · residual (R,2) px · weight (R,).
+    cross (K,3,P) · place_pull (K,3) · from_prior (P,P): what the places' prior tells, places eliminated ·
+    rows (R,2,P): whitened design with places eliminated · innovation (R,2): whitened residuals, in standard
+    deviations · residual (R,2) px · weight (R,).
     """
 
     matrix: Array
@@ -49,6 +74,7 @@ class Reduced:
     place_matrix: Array
     cross: Array
     place_pull: Array
+    from_prior: Array
     rows: Array
     innovation: Array
     residual: Array
@@ -62,6 +88,7 @@ def whiten(values: Array, seen: Sightings, std_px: float) -> Array:
     """
     gaps = np.diff(seen.t, prepend=-np.inf)
     gaps[seen.begins] = np.inf
+    gaps[np.diff(seen.log, prepend=-1) != 0] = np.inf
     rho = np.exp(-gaps / RESIDUAL_TIME_S)
     shape = (-1, *[1] * (values.ndim - 1))
     before = np.roll(values, 1, axis=0)
@@ -83,32 +110,46 @@ def reduce_normal(
     loss = np.where(length <= _KNEE_SIGMA, length**2, _KNEE_SIGMA * (2.0 * length - _KNEE_SIGMA))
     beyond = phi - model.prior[0]
     prior_pull = model.prior_precision @ beyond
-    centres, sizes = expected_places(model, landmarks.body)
+    prior = landmarks.prior or expected_places(model, landmarks.body, phi)
+    off = prior.centres + prior.slopes @ (phi - prior.at) - landmarks.places
+    pulled = (prior.precision @ off[..., None])[..., 0]
     weighted_place = (by_place * weight[:, None, None]).transpose(0, 2, 1)
     place_matrix = seen.sums(weighted_place @ by_place)
-    place_matrix += np.eye(3) / sizes[:, None, None] ** 2
-    cross = seen.sums(weighted_place @ by_shared)
-    place_pull = seen.sums((weighted_place @ innovation[..., None])[..., 0])
-    place_pull += (centres - landmarks.places) / sizes[:, None] ** 2
+    place_matrix += prior.precision
+    sloping = prior.precision @ prior.slopes
+    cross = seen.sums(weighted_place @ by_shared) - sloping
+    place_pull = seen.sums((weighted_place @ innovation[..., None])[..., 0]) + pulled
     shared = by_shared.reshape(-1, len(phi))
     scaled = shared * np.repeat(weight, 2)[:, None]
     matrix = scaled.T @ shared + model.prior_precision
+    matrix += _gram(prior.slopes, sloping)
     pull = scaled.T @ innovation.reshape(-1) - prior_pull
+    pull -= prior.slopes.reshape(-1, len(phi)).T @ pulled.reshape(-1)
     eliminated = np.linalg.solve(place_matrix, np.concatenate([cross, place_pull[..., None]], axis=2))
     flat = cross.reshape(-1, len(phi))
     matrix -= flat.T @ eliminated[..., :-1].reshape(-1, len(phi))
     pull -= flat.T @ eliminated[..., -1].reshape(-1)
     rows = by_shared - by_place @ eliminated[seen.piece, :, :-1]
-    cost = float(DATA_SHARE * loss.sum() + beyond @ prior_pull)
-    cost += float((np.square(landmarks.places - centres).sum(axis=1) / sizes**2).sum())
-    return Reduced(matrix, pull, cost, place_matrix, cross, place_pull, rows, innovation, residual, weight)
+    left = -prior.slopes - eliminated[..., :-1]
+    from_prior = _gram(left, prior.precision @ left)
+    cost = float(DATA_SHARE * loss.sum() + beyond @ prior_pull + (off * pulled).sum())
+    return Reduced(
+        matrix, pull, cost, place_matrix, cross, place_pull, from_prior, rows, innovation, residual, weight
+    )  # fmt: skip
 
 
-def expected_places(model: LandmarkModel, body: Array) -> tuple[Array, Array]:
-    """Centres (K,3) m and sizes (K,) m of the bodies with numbers (K,)."""
+def _gram(left: Array, right: Array) -> Array:
+    """The sum (P,P) over landmarks of leftᵀ right, both (K,3,P)."""
+    count = left.shape[-1]
+    return np.asarray(left.reshape(-1, count).T @ right.reshape(-1, count))
+
+
+def expected_places(model: LandmarkModel, body: Array, phi: Array) -> PlacePrior:
+    """Where points are expected on the bodies with numbers (K,), whatever φ is."""
     centres = np.array([one.centre for one in model.bodies])
-    sizes = np.array([one.size for one in model.bodies])
-    return centres[body], sizes[body]
+    sizes = np.array([one.size for one in model.bodies])[body]
+    precision = np.eye(3) / sizes[:, None, None] ** 2
+    return PlacePrior(centres[body], precision, np.zeros((len(body), 3, len(phi))), phi)
 
 
 def adjust(
@@ -126,7 +167,7 @@ def adjust(
             step[free] = std * np.linalg.solve(scaled + damping * np.diag(np.diag(scaled)), right)
             right_place = here.place_pull - here.cross @ step
             moved = landmarks.places + np.linalg.solve(here.place_matrix, right_place[..., None])[..., 0]
-            there = Landmarks(landmarks.body, moved)
+            there = replace(landmarks, places=moved)
             after = reduce_normal(model, phi + step, seen, there, std_px)
             if after.cost < here.cost or damping > _MOST_DAMPING:
                 break

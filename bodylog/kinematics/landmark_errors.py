@@ -32,7 +32,7 @@ def unknowns_covariance(fit: LandmarkFit) -> Array:
     """
     part = np.ix_(fit.free, fit.free)
     inverse = np.linalg.inv(fit.reduced.matrix[part])
-    prior = fit.model.prior_precision[part]
+    prior = (fit.model.prior_precision + fit.reduced.from_prior)[part]
     weighted, scores = _scores(fit)
     flat = weighted.reshape(-1, weighted.shape[2])
     modelled = inverse @ (prior + (flat.T @ flat + _shared_meat(fit, weighted))[part]) @ inverse

@@ -43,17 +43,24 @@ class Change:
     beforehand: float = 0.0
 
 
-def widened(model: LandmarkModel, belief: Belief) -> LandmarkModel:
-    """The model with a belief in which every joint may be off."""
-    covariance = belief.covariance.copy()
+def widened(model: LandmarkModel, belief: Belief, camera_may_move: bool = False) -> LandmarkModel:
+    """The model with a belief in which every joint may be off, and the camera moved if it may."""
+    variance = np.zeros(len(belief.mean))
     for index, std in _offset_stds(model).values():
-        covariance[index, index] += std**2
-    return replace(model, belief=Belief(belief.mean, covariance))
+        variance[index] = std**2
+    if camera_may_move:
+        variance[_of_camera(model)] = MOVED_STD**2
+    return replace(model, belief=Belief(belief.mean, belief.covariance + np.diag(variance)))
+
+
+def _of_camera(model: LandmarkModel) -> slice:
+    """Where in φ a camera shows that it moved."""
+    return model.of_camera_change if model.changes else slice(6)
 
 
 def _offset_stds(model: LandmarkModel) -> Mapping[str, tuple[int, float]]:
     """The index in φ of each joint's zero, and the prior std of an offset."""
-    begin = model.rig.of_joints.start
+    begin = (model.of_changes if model.changes else model.rig.of_joints).start
     return {
         joint: (begin + m, OFFSET_STD * (0.1 if model.rig.slides(m) else 1.0))
         for m, joint in enumerate(model.rig.joints)
@@ -80,7 +87,9 @@ def weigh(model: LandmarkModel, belief: Belief, told: Information, camera_may_mo
         added = std**2 * (np.arange(count) == index)
         found.append(_weighed(joint, belief, told, added, index))
     if camera_may_move:
-        found.append(_weighed(CAMERA, belief, told, MOVED_STD**2 * (np.arange(count) < 6), None))
+        added = np.zeros(count)
+        added[_of_camera(model)] = MOVED_STD**2
+        found.append(_weighed(CAMERA, belief, told, added, None))
     return found
 
 

@@ -42,7 +42,7 @@ class LandmarkBody:
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Pieces of corner tracks, all logs together, row by row, each piece's rows in sequence.
+    """Pieces of corner tracks, or landmarks found again, all logs together, each one's rows by log and time.
 
     piece (R,) from 0, ascending · log (R,) · t (R,) s, image times in their log · uv (R,2) px · height of images, px.
     """
@@ -99,13 +99,15 @@ class LandmarkModel:
     """A rig with one camera and no markers, the bodies that bear landmarks, and the motion of each log's joints.
 
     Its unknowns φ (P,) are the rig's θ, one delay (s) per log, and the row time (s). belief: their prior where earlier
-    logs tell of them; else they are independent, as the rig doubts them.
+    logs tell of them; else they are independent, as the rig doubts them. changes: whether 6 + M more follow, by which
+    the camera's pose and the joints' zeros differ from those of the logs that placed the landmarks.
     """
 
     rig: Rig
     bodies: tuple[LandmarkBody, ...]
     motions: tuple[JointMotion, ...]
     belief: Belief | None = None
+    changes: bool = False
 
     @cached_property
     def prior_precision(self) -> Array:
@@ -131,13 +133,32 @@ class LandmarkModel:
     @property
     def of_delays(self) -> slice:
         """The logs' delays in φ."""
-        end = len(self.prior[0]) - 1
-        return slice(end - len(self.motions), end)
+        return slice(self.of_row_time - len(self.motions), self.of_row_time)
 
     @property
     def of_row_time(self) -> int:
         """The row time in φ."""
-        return len(self.prior[0]) - 1
+        return len(self.rig.prior[0]) + len(self.motions)
+
+    @property
+    def of_camera_change(self) -> slice:
+        """The change of the camera's pose in φ; empty where there are no changes."""
+        begin = self.of_row_time + 1
+        return slice(begin, begin + 6 if self.changes else begin)
+
+    @property
+    def of_changes(self) -> slice:
+        """The changes of the joints' zeros in φ; empty where there are none."""
+        begin = self.of_camera_change.stop
+        return slice(begin, begin + len(self.rig.joints) if self.changes else begin)
+
+    def changed(self, phi: Array) -> Array:
+        """The rig's θ with the changes in it."""
+        theta = phi[: len(self.rig.prior[0])].copy()
+        if self.changes:
+            theta[:6] += phi[self.of_camera_change]
+            theta[self.rig.of_joints] += phi[self.of_changes]
+        return theta
 
     def joints_at(self, phi: Array, seen: Sightings) -> tuple[Array, Array, Array]:
         """Joint angles and speeds (R,M) when each row was exposed, and its row's share (R,) of the image, −½ to ½."""
@@ -171,15 +192,15 @@ class Prediction:
 
 
 def _in_camera(model: LandmarkModel, phi: Array, angles: Array, body: int) -> tuple[Array, Array]:
-    rig = model.rig
-    poses = model.bodies[body].chain.at(rig.angles(phi[: len(rig.prior[0])], angles))
-    camera = rig.camera_pose(0, phi)
+    rig, theta = model.rig, model.changed(phi)
+    poses = model.bodies[body].chain.at(rig.angles(theta, angles))
+    camera = rig.camera_pose(0, theta)
     return camera[:3, :3] @ poses.rotation, poses.place @ camera[:3, :3].T + camera[:3, 3]
 
 
 def _predict(model: LandmarkModel, phi: Array, seen: Sightings, body: Array, places: Array) -> Prediction:
     rig, rows = model.rig, len(seen.piece)
-    theta = phi[: len(rig.prior[0])]
+    theta = model.changed(phi)
     angles, speeds, share = model.joints_at(phi, seen)
     image, depth = np.empty((rows, 2)), np.empty(rows)
     by_place = np.empty((rows, 2, 3))
@@ -207,6 +228,9 @@ def _predict(model: LandmarkModel, phi: Array, seen: Sightings, body: Array, pla
     delays = model.of_delays.start + seen.log
     by_shared[np.arange(rows), :, delays] = -by_time
     by_shared[:, :, model.of_row_time] = by_time * share[:, None]
+    if model.changes:
+        by_shared[:, :, model.of_camera_change] = by_shared[:, :, :6]
+        by_shared[:, :, model.of_changes] = by_joints
     return Prediction(image, by_place, by_shared, by_joints, depth)
 
 

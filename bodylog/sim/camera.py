@@ -59,10 +59,14 @@ def ellipse_centre(camera: Camera, centre: Array, radius: float) -> Array:
     return np.column_stack([x * scale, y * scale]) + camera.centre
 
 
-def background(camera: Camera, rng: np.random.Generator) -> Array:
-    """A dark, unsaturated wall (H,W,3) uint8 with soft blotches."""
+def background(camera: Camera, rng: np.random.Generator, textured: bool = False) -> Array:
+    """A dark, unsaturated wall (H,W,3) uint8 with soft blotches, or with fine grey ones that show if it moves."""
     import cv2
 
+    if textured:
+        fine = rng.uniform(40.0, 84.0, (36, 48))
+        grey = np.clip(cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC), 0, 255)
+        return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
     coarse = rng.uniform(52.0, 72.0, (9, 12, 1)) + rng.uniform(-1.5, 1.5, (9, 12, 3))
     wall = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
     return np.asarray(np.clip(wall, 0, 255).astype(np.uint8))

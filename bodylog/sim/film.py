@@ -78,7 +78,7 @@ def side_items(stage: Stage) -> Iterator[Item]:
 
 def _film(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
     rng = stage.chance(view.stream)
-    wall, noise = cameras.background(view.camera, rng), cameras.sensor_noise(view.camera, rng)
+    wall, noise = cameras.background(view.camera, rng, stage.wish.options.scene == "bare"), cameras.sensor_noise(view.camera, rng)
     shot: _Shot | None = None
     for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, view.offset_ns):
         t = stamps / 1e9 + _exposure_delays(stage, view, stamps / 1e9)
@@ -153,6 +153,9 @@ def _things(stage: Stage, view: _View, shot: _Shot, place: Array) -> list[tuple[
     """The things to draw with their truth's topics ("" for clutter), nearest first."""
     links = stage.world.links
     things: list[tuple[str, Thing]] = [("", thing) for thing in stage.scene.things]
+    for link, stud in stage.scene.studs:
+        number = links.index(link)
+        things.append(("", stud.moved(shot.places[number], matrix(shot.turns[number]))))
     feature = _feature(stage, shot.places, shot.turns)
     if feature is not None:
         things.append((f"{view.truth}/effector_pixel", feature))

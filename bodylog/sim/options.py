@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ..choices import CAMERAS, FEATURES, IMAGES
+from ..choices import CAMERAS, FEATURES, IMAGES, SCENES
 from ..errors import UsageError
 from .plan import Plan, unknown
 
@@ -18,7 +18,7 @@ class Options:
     turning: the head turns, one more joint. feature: the thing on the arm, or for a camera on the wrist the one in
     the scene; feature_size in m. clutter: things of the feature's colour, a foreign tag and furniture. split_joints:
     arm, head and gripper publish on separate topics. camera: the first camera's mount. hardware: errors of real joints
-    and encoders, as typed (`parse_hardware`).
+    and encoders, as typed (`parse_hardware`). scene: "bare" has no feature; links and wall have a texture instead.
     """
 
     seed: int = 0
@@ -39,6 +39,7 @@ class Options:
     split_joints: bool = False
     camera: str = "head"
     hardware: str = ""
+    scene: str = "plain"
 
     @property
     def side(self) -> float:
@@ -52,6 +53,7 @@ def check(options: Options) -> None:
         ("image", options.image, IMAGES),
         ("feature", options.feature, FEATURES),
         ("camera", options.camera, CAMERAS),
+        ("scene", options.scene, SCENES),
     ):
         if value not in possible:
             raise UsageError(f"{unknown(name, value, possible)}; type: --{name} {possible[0]}")
@@ -59,6 +61,8 @@ def check(options: Options) -> None:
     within("width", options.size[0], 64, 4096)
     within("height", options.size[1], 48, 4096)
     within("cameras", options.cameras, 1, 2)
+    if options.scene == "bare" and (options.feature == "tag" or options.marker or options.feature_size is not None):
+        raise UsageError("--scene bare: it has no feature; leave --feature, --feature-size and --marker out")
     if options.feature == "none" and options.feature_size is not None:
         raise UsageError("--feature-size: there is no feature (--feature none); leave --feature-size out")
     if options.feature != "none":

@@ -96,7 +96,7 @@ def _channel(writer: Any, topic: str, kind: str) -> int:
 def _settings(wish: Wish) -> dict[str, str]:
     """The log's metadata about its recording; newer options only where they are used."""
     options, usual = wish.options, Options()
-    newer = ("cameras", "turning", "feature", "feature_size", "clutter", "split_joints", "camera", "hardware")
+    newer = ("cameras", "turning", "feature", "feature_size", "clutter", "split_joints", "camera", "hardware", "scene")
     used = {name: getattr(options, name) for name in newer if getattr(options, name) != getattr(usual, name)}
     return {name: str(value).lower() for name, value in used.items()} | {
         "scenario": wish.scenario,

@@ -1,5 +1,6 @@
 """Things in the scene: the feature that the arm carries or looks at, and clutter."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -12,6 +13,11 @@ from .tag import Plate
 
 TAG, FOREIGN_TAG = 7, 3
 _LIME: Colour = (150.0, 200.0, 40.0)
+_STUDS = 14
+"""Studs on a cylinder of a link."""
+_STUD_M = (0.004, 0.009)
+_STUD_GREY = ((25.0, 60.0), (190.0, 230.0))
+"""Dark and light ones, as grey levels: no colour of a feature."""
 _POST, _POST_OF_SIDE = 0.05, 0.35
 """Length of the post that holds a plate clear of the limb: m, and in sides of the tag."""
 
@@ -63,12 +69,27 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The feature, in the frame of the `link` that carries it or in the base frame (None), and the clutter."""
+    """The feature, in the frame of the `link` that carries it or in the base frame (None), and the clutter.
+
+    studs: (link, ball in its frame), the texture of a bare arm.
+    """
 
     feature: Ball | Plate | None
     link: str | None
     things: tuple[Ball | Plate, ...]
     boxes: tuple[Box, ...]
+    studs: tuple[tuple[str, Ball], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Cylinder:
+    """A cylinder of a link: its centre (3,) m and rotation (3,3) in the link's frame, along z; radius and length m."""
+
+    link: str
+    place: Array
+    rotation: Array
+    radius: float
+    length: float
 
 
 def on_the_arm(options: Options, camera: Camera, place: Array, rotation: Array, rng: np.random.Generator) -> Scene:
@@ -86,9 +107,22 @@ def before_the_wrist(options: Options, camera: Camera, distance: float, rng: np.
     return Scene(_feature(options, place, camera.rotation.T), None, *_clutter(options, camera, rng))
 
 
+def studs(cylinders: Iterable[Cylinder], rng: np.random.Generator) -> tuple[tuple[str, Ball], ...]:
+    """Studs at random places on the links' cylinders, half sunk: (link, ball in its frame)."""
+    found = []
+    for one in cylinders:
+        for number in range(_STUDS):
+            angle, along = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-0.45, 0.45) * one.length
+            local = np.array([one.radius * np.cos(angle), one.radius * np.sin(angle), along])
+            grey = rng.uniform(*_STUD_GREY[number % 2])
+            ball = Ball(one.rotation @ local + one.place, rng.uniform(*_STUD_M), (grey, grey, grey))
+            found.append((one.link, ball))
+    return tuple(found)
+
+
 def _feature(options: Options, place: Array, rotation: Array) -> Ball | Plate | None:
     """The tracked thing, in the base frame."""
-    if options.feature == "none":
+    if options.feature == "none" or options.scene == "bare":
         return None
     if options.feature == "ball":
         return Ball(place, options.side / 2, GREEN)

@@ -6,7 +6,7 @@ time is when a recorder would receive it, a few ms later.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ START_NS = 1_767_225_600 * 1_000_000_000
 FRAME, SIDE_FRAME = "camera_optical_frame", "side_optical_frame"
 _BLOCK = 1000
 _ASIDE = np.array([0.017, 0.0, 0.03])
-_CHANCES = {"head": 5, "scene": 6, "gripper": 7}
+_CHANCES = {"head": 5, "scene": 6, "gripper": 7, "studs": 8}
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +122,8 @@ def open_stage(wish: Wish) -> Iterator[Stage]:
             around = scene.before_the_wrist(options, camera, DISTANCE, chances["scene"])
         else:
             around = scene.on_the_arm(options, camera, target, rotation, chances["scene"])
+        if options.scene == "bare":
+            around = replace(around, studs=scene.studs(world.cylinders(), chances["studs"]))
         world.furnish(around.boxes)
         column = hand.facing(matrix(turns[link]).T @ (camera.position - places[link]))
         turn = head(chances["head"]) if options.turning else None

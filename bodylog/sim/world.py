@@ -13,7 +13,7 @@ from ..errors import UsageError
 from ..types import Array
 from .arms import Arm
 from .camera import FAR, NEAR, Camera
-from .scene import Box
+from .scene import Box, Cylinder
 
 EFFECTOR_RADIUS, MARKER_RADIUS, HAND_RADIUS = 0.025, 0.055, 0.035
 _FINE = 300
@@ -36,6 +36,13 @@ class World:
         numbers = list(range(len(self.links)))
         states = self.bullet.getLinkStates(self.body, numbers, 0, True, physicsClientId=self.client)
         return np.array([state[4] for state in states]), np.array([state[5] for state in states])
+
+    def cylinders(self) -> Iterator[Cylinder]:
+        """Yield the cylinders that the links are drawn as."""
+        for shape in self.bullet.getVisualShapeData(self.body, physicsClientId=self.client):
+            link, kind, sizes, place, turn = shape[1], shape[2], shape[3], shape[5], shape[6]
+            if link >= 0 and kind == self.bullet.GEOM_CYLINDER:
+                yield Cylinder(self.links[link], np.array(place), matrix(np.array(turn)), sizes[1], sizes[0])
 
     def furnish(self, boxes: Sequence[Box]) -> None:
         """Put boxes into the world, where the arm does not touch them."""

@@ -10,7 +10,7 @@ from bodylog_cli.record import record as command
 from bodylog.errors import UsageError
 from bodylog.sim import record
 from bodylog.sim.options import Options
-from bodylog.sim.scene import FOREIGN_TAG, TAG
+from bodylog.sim.scene import FOREIGN_TAG, TAG, Cylinder, studs
 from tests.seeds import seeds
 
 from . import reading
@@ -139,6 +139,8 @@ def test_scene_is_deterministic(tmp_path):
         ({"feature": "tga"}, "feature 'tga' is not known; possible: ball, tag, none; nearest: tag; type: --feature"),
         ({"camera": "rist"}, "camera 'rist' is not known; possible: head, wrist; nearest: wrist"),
         ({"feature_size": 2.0}, "feature-size is 2.0; possible: 0.005 to 0.5"),
+        ({"scene": "bare", "feature": "tag"}, "it has no feature; leave --feature"),
+        ({"scene": "bare", "marker": True}, "it has no feature; leave --feature"),
         ({"feature": "none", "feature_size": 0.1}, "there is no feature .*; leave --feature-size out"),
         ({"camera": "wrist", "marker": True}, "--marker needs the head's camera .*; leave --marker out"),
         ({"camera": "wrist", "cameras": 2}, "--cameras needs the head's camera"),
@@ -158,3 +160,20 @@ def test_record_command_has_all_options_with_their_defaults():
     typed["size"] = tuple(int(side) for side in typed["size"].split("x"))
     for name, parameter in inspect.signature(Options).parameters.items():
         assert typed[name] == parameter.default, name
+
+
+def test_bare_arm_has_studs_on_its_links_and_no_feature(tmp_path):
+    """Each stud lies on a cylinder, dark or light and grey; the log has no truth of a feature."""
+    turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    one = Cylinder("link", np.array([0.1, 0.0, 0.2]), turn, 0.05, 0.3)
+    found = studs([one], np.random.default_rng(3))
+    local = np.array([turn.T @ (ball.place - one.place) for _, ball in found])
+    np.testing.assert_allclose(np.linalg.norm(local[:, :2], axis=1), 0.05, atol=1e-12)
+    assert np.abs(local[:, 2]).max() < 0.15
+    assert all(len(set(ball.colour)) == 1 for _, ball in found)
+    record("reach", tmp_path / "bare.mcap", duration=0.2, size=(160, 120), scene="bare")
+    record("reach", tmp_path / "again.mcap", duration=0.2, size=(160, 120), scene="bare")
+    assert (tmp_path / "bare.mcap").read_bytes() == (tmp_path / "again.mcap").read_bytes()
+    topics = reading.read(tmp_path / "bare.mcap")
+    assert "/robot_description" in topics
+    assert "/truth/effector_pixel" not in topics
