@@ -1,0 +1,86 @@
+"""How a joint moves, and how its encoder errs: the prior of the state between two times.
+
+A joint's state is angle, rate[, acceleration], and an error e of its encoder that lasts: an Ornstein–Uhlenbeck process
+
+    de = −e/τ dt + √(2 σ²/τ) dw,    cov(e(t), e(t + Δ)) = σ² exp(−Δ/τ).
+
+σ → 0 leaves white noise alone, τ → ∞ a constant offset. The error is at the encoder, which then reads q + e, or at the
+link, which then stands at q + e while the encoder reads q.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ... import motion
+from ...types import Array
+
+LEAST_STD = 1e-8
+"""rad: standard deviation of an error that is absent, so that matrices keep their inverses."""
+START_STD = (1.0, 1.0, 3.0)
+"""rad, rad/s, rad/s²: prior standard deviations at the first knot, those of the filter without lasting errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointNoise:
+    """How M joints move and are read.
+
+    order 2: white acceleration, process (M,) in rad²/s³; 3: white jerk, rad²/s⁵ · white (M,) rad²: of a reading ·
+    error (M,) rad: standard deviation σ of what lasts; None for none · seconds (M,) s: its τ · at_link (M,) bool.
+    """
+
+    order: int
+    white: Array
+    process: Array
+    error: Array | None
+    seconds: Array
+    at_link: Array
+
+    @property
+    def states(self) -> int:
+        """Number p of a joint's states."""
+        return self.order + (self.error is not None)
+
+    @property
+    def reads(self) -> Array:
+        """What an encoder reads of its joint's state (M,p)."""
+        row = np.zeros((len(self.white), self.states))
+        row[:, 0] = 1.0
+        if self.error is not None:
+            row[:, self.order] = ~self.at_link
+        return row
+
+    def stands(self, ahead: Array) -> Array:
+        """Where the link stands, as a row (F,M,p) on the joint's state `ahead` (F,) s before."""
+        row = np.zeros((len(ahead), len(self.white), self.states))
+        row[..., : self.order] = motion.transition(self.order, ahead)[:, None, 0, :]
+        if self.error is not None:
+            row[..., self.order] = self.at_link
+        return row
+
+    def start_precision(self) -> Array:
+        """Precision (M,p,p) of the state at the first knot, about the angles that are read first."""
+        var = np.tile(np.square(np.array(START_STD[: self.order])), (len(self.white), 1))
+        if self.error is not None:
+            var = np.column_stack([var, np.square(np.maximum(self.error, LEAST_STD))])
+        return np.asarray(np.eye(self.states) / var[:, None, :])
+
+    def transition(self, gap: Array) -> Array:
+        """Transitions (…,M,p,p) of the state over gaps (…) s."""
+        flat = gap.ravel()
+        found = np.zeros((len(flat), len(self.white), self.states, self.states))
+        found[..., : self.order, : self.order] = motion.transition(self.order, flat)[:, None]
+        if self.error is not None:
+            found[..., self.order, self.order] = np.exp(-flat[:, None] / self.seconds)
+        return found.reshape(*gap.shape, *found.shape[1:])
+
+    def covariance(self, gap: Array) -> Array:
+        """Covariances (…,M,p,p) that the state gains over gaps (…) s."""
+        flat = gap.ravel()
+        found = np.zeros((len(flat), len(self.white), self.states, self.states))
+        moved = motion.covariance(self.order, flat)[:, None]
+        found[..., : self.order, : self.order] = self.process[:, None, None] * moved
+        if self.error is not None:
+            var = np.square(np.maximum(self.error, LEAST_STD))
+            found[..., self.order, self.order] = -var * np.expm1(-2.0 * flat[:, None] / self.seconds)
+        return found.reshape(*gap.shape, *found.shape[1:])
