@@ -92,42 +92,57 @@ def place_readings(
 
 
 def condense(readings: Readings, noise: JointNoise) -> PairFactors:
-    """The factor of each interval and joint on the states at both its ends."""
+    """The factor of each interval and joint on the states at both its ends.
+
+    Arrays have the states first and intervals and joints last, where NumPy is fast for small states.
+    """
     steps, count, m, r = readings.between.shape
     p = noise.states
-    reads = noise.reads
-    carry = np.broadcast_to(np.eye(p), (count, m, p, p)).copy()
-    shift = np.zeros((count, m, p, r))
-    cov = np.zeros((count, m, p, p))
-    info = np.zeros((count, m, p, p))
-    right = np.zeros((count, m, p, r))
-    square = np.zeros((count, m, r, r))
-    logs = np.zeros((count, m))
+    moves = noise.transition(readings.gaps)
+    gains = noise.covariance(readings.gaps)
+    reads = noise.reads.T[:, None, :]
+    values = np.ascontiguousarray(np.moveaxis(readings.between, -1, 1))
+    known = readings.between_weight > 0.0
+    var = noise.white / np.where(known, readings.between_weight, 1.0)
+    logs = normalisation(var, readings.between_believed).sum(axis=0)
+    carry = np.broadcast_to(np.eye(p)[:, :, None, None], (p, p, count, m))
+    shift = np.zeros((p, r, count, m))
+    cov = np.zeros((p, p, count, m))
+    info = np.zeros((p, p, count, m))
+    right = np.zeros((p, r, count, m))
+    square = np.zeros((r, r, count, m))
     for k in range(steps + 1):
-        move = noise.transition(readings.gaps[k])
-        carry = move @ carry
-        shift = move @ shift
-        cov = move @ cov @ move.swapaxes(-1, -2) + noise.covariance(readings.gaps[k])
+        move = moves[:, :, k]
+        carry = multiply(move, carry)
+        shift = multiply(move, shift)
+        cov = multiply(multiply(move, cov), move.swapaxes(0, 1)) + gains[:, :, k]
         if k == steps:
             break
-        weight = readings.between_weight[k]
-        known = weight > 0.0
-        var = noise.white / np.where(known, weight, 1.0)
-        seen = np.einsum("mp,imps->ims", reads, carry)
-        spread = np.einsum("imps,ms->imp", cov, reads)
-        total = np.einsum("mp,imp->im", reads, spread) + var
-        inverse = np.where(known, 1.0 / total, 0.0)
-        innovation = readings.between[k] - np.einsum("mp,impr->imr", reads, shift)
-        info += np.einsum("im,imp,ims->imps", inverse, seen, seen)
-        right += np.einsum("im,imp,imr->impr", inverse, seen, innovation)
-        square += np.einsum("im,imr,imq->imrq", inverse, innovation, innovation)
-        logs += np.where(known, 0.5 * np.log(total / var), 0.0)
-        logs += normalisation(var, readings.between_believed[k])
-        gain = inverse[..., None] * spread
-        carry -= np.einsum("imp,ims->imps", gain, seen)
-        shift += np.einsum("imp,imr->impr", gain, innovation)
-        cov -= np.einsum("imp,ims->imps", gain, spread)
+        seen = (reads[:, None] * carry).sum(axis=0)
+        spread = (cov * reads).sum(axis=1)
+        total = (reads * spread).sum(axis=0) + var[k]
+        inverse = np.where(known[k], 1.0 / total, 0.0)
+        innovation = values[k] - (reads[:, None] * shift).sum(axis=0)
+        weighed = inverse * seen
+        info = info + weighed[:, None] * seen
+        right = right + weighed[:, None] * innovation
+        square = square + inverse * innovation[:, None] * innovation
+        logs += np.where(known[k], 0.5 * np.log(total / var[k]), 0.0)
+        gain = inverse * spread
+        carry = carry - gain[:, None] * seen
+        shift = shift + gain[:, None] * innovation
+        cov = cov - gain[:, None] * spread
+    parts = [np.moveaxis(part, (2, 3), (0, 1)) for part in (carry, shift, cov, info, right, square)]
+    carry, shift, cov, info, right, square = parts
     return _pair_factors(carry, shift, cov, PairFactors(info, right, square, logs))
+
+
+def multiply(left: Array, right: Array) -> Array:
+    """Products (a,c,…) of many small matrices (a,b,…) and (b,c,…)."""
+    found = left[:, 0, None] * right[0]
+    for k in range(1, left.shape[1]):
+        found += left[:, k, None] * right[k]
+    return np.asarray(found)
 
 
 def normalisation(var: Array, believed: Array) -> Array:

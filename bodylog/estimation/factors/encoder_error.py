@@ -66,21 +66,20 @@ class JointNoise:
         return np.asarray(np.eye(self.states) / var[:, None, :])
 
     def transition(self, gap: Array) -> Array:
-        """Transitions (…,M,p,p) of the state over gaps (…) s."""
-        flat = gap.ravel()
-        found = np.zeros((len(flat), len(self.white), self.states, self.states))
-        found[..., : self.order, : self.order] = motion.transition(self.order, flat)[:, None]
+        """Transitions (p,p,…,M) of the state over gaps (…) s."""
+        found = np.zeros((self.states, self.states, *gap.shape, len(self.white)))
+        moved = motion.transition(self.order, gap.ravel()).reshape(*gap.shape, self.order, self.order)
+        found[: self.order, : self.order] = np.moveaxis(moved, (-2, -1), (0, 1))[..., None]
         if self.error is not None:
-            found[..., self.order, self.order] = np.exp(-flat[:, None] / self.seconds)
-        return found.reshape(*gap.shape, *found.shape[1:])
+            found[self.order, self.order] = np.exp(-gap[..., None] / self.seconds)
+        return found
 
     def covariance(self, gap: Array) -> Array:
-        """Covariances (…,M,p,p) that the state gains over gaps (…) s."""
-        flat = gap.ravel()
-        found = np.zeros((len(flat), len(self.white), self.states, self.states))
-        moved = motion.covariance(self.order, flat)[:, None]
-        found[..., : self.order, : self.order] = self.process[:, None, None] * moved
+        """Covariances (p,p,…,M) that the state gains over gaps (…) s."""
+        found = np.zeros((self.states, self.states, *gap.shape, len(self.white)))
+        moved = motion.covariance(self.order, gap.ravel()).reshape(*gap.shape, self.order, self.order)
+        found[: self.order, : self.order] = np.moveaxis(moved, (-2, -1), (0, 1))[..., None] * self.process
         if self.error is not None:
             var = np.square(np.maximum(self.error, LEAST_STD))
-            found[..., self.order, self.order] = -var * np.expm1(-2.0 * flat[:, None] / self.seconds)
-        return found.reshape(*gap.shape, *found.shape[1:])
+            found[self.order, self.order] = -var * np.expm1(-2.0 * gap[..., None] / self.seconds)
+        return found
