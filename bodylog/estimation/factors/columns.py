@@ -1,6 +1,6 @@
 """Global parameters as columns of the border: what a unit of each changes in links, images and readings."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +16,7 @@ class Path:
     """Where the joints are believed at K knots: angles, rates and links (K,M), and each play's state (K,M).
 
     links differ from angles by what bends between motor and link · slack (K,M): (link − motor) over half the play, in
-    −1 … 1 · half (M,) rad: half the play that is assumed.
+    −1 … 1.
     """
 
     knots: Array
@@ -41,11 +41,12 @@ class Path:
 class Column:
     """A global parameter that changes nothing: what a column may override.
 
-    name · std: of its size before the log · bends: whether it moves the links themselves.
+    name · std, mean: of its size before the log · bends: whether it moves the links themselves.
     """
 
     name: str
     std: float
+    mean: float = 0.0
     bends: bool = False
 
     def moves_links(self, path: Path) -> Array:
@@ -130,15 +131,16 @@ class Displacement(Column):
         return own if images.mix is None else (images.mix @ own[..., None])[..., 0]
 
 
-def follow_slack(motors: Array, half: Array, slack: Array | None = None) -> Array:
+def follow_slack(motors: Array, half: Array, noise: Array) -> Array:
     """Where links lie within their play (K,M), −1 … 1, while motors (K,M) rad turn; half (M,) rad of the play.
 
-    The link stays until the motor has gone through the play, then trails it (the backlash operator).
+    The link stays until the motor has gone through the play, then trails it (the backlash operator). noise (M,) rad: how
+    far the motors' angles are known. A turn back within it counts for none, or noise alone would drag the link along.
     """
-    half = np.maximum(half, 1e-9)
-    links = motors[0] - (0.0 if slack is None else 0.0)
+    reach = half + noise
+    links = motors[0]
     found = np.zeros(motors.shape)
     for k, motor in enumerate(motors):
-        links = np.clip(links, motor - half, motor + half)
-        found[k] = (links - motor) / half
-    return found
+        links = np.clip(links, motor - reach, motor + reach)
+        found[k] = links - motor
+    return np.clip(found / half, -1.0, 1.0)

@@ -56,7 +56,7 @@ def place_readings(
     values (N,M,R) rad, NaN in the first right-hand side where missing · relative (N,M): variance over the encoder's ·
     believed (N,M).
     """
-    n, m, r = values.shape
+    _, m, r = values.shape
     known = np.isfinite(values[..., 0])
     weight = np.where(known, believed / relative, 0.0)
     believed = np.where(known, believed, 0.0)

@@ -26,7 +26,8 @@ class JointNoise:
     """How M joints move and are read.
 
     order 2: white acceleration, process (M,) in rad²/s³; 3: white jerk, rad²/s⁵ · white (M,) rad²: of a reading ·
-    error (M,) rad: standard deviation σ of what lasts; None for none · seconds (M,) s: its τ · at_link (M,) bool.
+    error (M,) rad: standard deviation σ of what lasts; None for none · seconds (M,) s: its τ · at_link (M,) bool ·
+    learned (M,) bool: joints whose σ and τ, one for all, come from the log; the others' are given.
     """
 
     order: int
@@ -35,6 +36,7 @@ class JointNoise:
     error: Array | None
     seconds: Array
     at_link: Array
+    learned: Array
 
     @property
     def states(self) -> int:

@@ -10,6 +10,10 @@ from .problem import FactorProblem, Linearised, Noise, build_system, linearise
 from .solve import Eliminated, Marginals, System, eliminate, filtered, smoothed
 
 ROUNDS = 12
+LEAST_PLAY = 5e-4
+"""rad: half of a play that is assumed at least, so that noise of the angle does not turn the link."""
+NOISE_SIGMAS = 2.0
+"""Standard deviations of a motor's angle that a turn back must exceed."""
 SETTLED = 1e-3
 """Standard deviations of the angles that a round may move and be the last."""
 
@@ -37,15 +41,17 @@ def initial_path(problem: FactorProblem) -> Path:
         if known.any():
             angles[:, j] = np.interp(problem.knots, problem.t[known], column[known])
     rates = np.gradient(angles, problem.knots, axis=0) if len(angles) > 1 else np.zeros(angles.shape)
-    return Path(problem.knots, angles, rates, angles, follow_slack(angles, _halves(problem, None)))
+    noise = 2.0 * np.full(len(problem.start), 1e-3)
+    return Path(problem.knots, angles, rates, angles, follow_slack(angles, _halves(problem, None), noise))
 
 
 def _halves(problem: FactorProblem, sizes: Array | None) -> Array:
-    """Half of each joint's play (M,) rad, by the columns' sizes; the prior's before there are any."""
-    half = np.full(len(problem.start), 1e-3)
+    """Half of each joint's play (M,) rad, by the columns' sizes, or their means."""
+    half = np.full(len(problem.start), LEAST_PLAY)
     for c, column in enumerate(problem.columns):
-        if isinstance(column, Play) and sizes is not None:
-            half[column.joint] = max(float(sizes[c]), 1e-4)
+        if isinstance(column, Play):
+            size = column.mean if sizes is None else float(sizes[c])
+            half[column.joint] = max(size, LEAST_PLAY)
     return half
 
 
@@ -55,7 +61,9 @@ def path_of(problem: FactorProblem, noise: Noise, beliefs: Marginals) -> Path:
     joints = beliefs.mean[:, : m * p].reshape(-1, m, p)
     angles = joints[..., 0]
     links = angles + (joints[..., -1] * noise.joints.at_link if noise.joints.error is not None else 0.0)
-    slack = follow_slack(angles, _halves(problem, beliefs.sizes[-1]))
+    var = np.einsum("kss->ks", beliefs.cov)[:, : m * p : p]
+    unsure = NOISE_SIGMAS * np.sqrt(np.median(var, axis=0))
+    slack = follow_slack(angles, _halves(problem, beliefs.sizes[-1]), unsure)
     path = Path(problem.knots, angles, joints[..., 1], links, slack)
     for c, column in enumerate(problem.columns):
         if column.bends:

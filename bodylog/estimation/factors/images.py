@@ -78,7 +78,8 @@ def image_rows(
     count, rows, joints = jac.shape
     slopes = np.zeros((count, rows, size))
     stands = noise.stands(images.ahead)
-    slopes[..., : joints * noise.states] = (jac[..., None] * stands[:, None]).reshape(count, rows, joints * noise.states)
+    width = joints * noise.states
+    slopes[..., :width] = (jac[..., None] * stands[:, None]).reshape(count, rows, width)
     slopes[:, np.arange(rows), first + np.arange(rows)] = np.sqrt(np.maximum(model_var, 0.0))
     read = images.values - mean + np.einsum("fdm,fm->fd", jac, links)
     moved = np.einsum("fdm,fmc->fdc", jac, columns) + shifts

@@ -26,8 +26,8 @@ LOG_SCALE = (0.0, 1.0)
 FEWEST_READINGS = 5.0
 """Readings that a lasting error outlasts at least: a shorter one is white noise."""
 LONGEST_S = 60.0
-STEP = 1e-3
-"""Change of a logarithm in differences: a slope is off by half the curvature times this, and by rounding, 1e-3 nats."""
+STEP = 2e-4
+"""Change of a logarithm in differences: slopes are off by up to 0.1 nats by curvature, and by 0.01 by rounding."""
 ROUNDS = 3
 """Times that the log is linearised again about what the last noise gives."""
 FLAT_NATS = 0.02
@@ -36,13 +36,15 @@ _SPAN = 1e4
 """Factor by which variances may differ from those with which the search begins."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Learned:
-    """Noise by evidence, the path that it gives, and −ln p of log and noise."""
+    """Noise by evidence, the path that it gives, −ln p of log and noise, and the columns' sizes (C,) with their cov."""
 
     noise: Noise
     path: Path
     nats: float
+    sizes: Array
+    sizes_cov: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,18 +79,25 @@ def learn_noise(problem: FactorProblem, noise: Noise, path: Path, step_s: float)
         noise = _from_vector(found.x * unit, noise)
         linear = linear.with_noise(noise)
         system = build_system(linear)
-        path = path_of(problem, noise, smoothed(system, eliminate(system)))
+        beliefs = smoothed(system, eliminate(system))
+        path = path_of(problem, noise, beliefs)
         settled = abs(nats - found.fun) < 0.1
         nats = float(found.fun)
         if settled:
             break
-    return Learned(noise, path, nats)
+    return Learned(noise, path, nats, beliefs.sizes[0], beliefs.sizes_cov[0])
+
+
+def _errors(joints: JointNoise) -> Array:
+    """Standard deviations (L,) rad of the lasting errors that are learned."""
+    return np.empty(0) if joints.error is None else joints.error[joints.learned]
 
 
 def _to_vector(noise: Noise) -> Array:
     """Logarithms of white (M,), process (M,), [σ (M,), τ (),] and scales."""
     joints = noise.joints
-    lasting = [] if joints.error is None else [np.log(joints.error), np.log(joints.seconds[:1])]
+    errors = _errors(joints)
+    lasting = [np.log(errors), np.log(joints.seconds[joints.learned][:1])] if len(errors) else []
     return np.concatenate([np.log(joints.white), np.log(joints.process), *lasting, np.log(noise.scales)])
 
 
@@ -97,11 +106,16 @@ def _from_vector(p: Array, like: Noise) -> Noise:
     joints = like.joints
     m = len(joints.white)
     white, process, rest = np.exp(p[:m]), np.exp(p[m : 2 * m]), p[2 * m :]
-    if joints.error is None:
-        return Noise(replace(joints, white=white, process=process), tuple(np.exp(rest).tolist()))
-    error, seconds = np.exp(rest[:m]), np.full(m, np.exp(rest[m]))
-    made = replace(joints, white=white, process=process, error=error, seconds=seconds)
-    return Noise(made, tuple(np.exp(rest[m + 1 :]).tolist()))
+    made = replace(joints, white=white, process=process)
+    count = len(_errors(joints))
+    if count:
+        assert joints.error is not None
+        error, seconds = joints.error.copy(), joints.seconds.copy()
+        error[joints.learned] = np.exp(rest[:count])
+        seconds[joints.learned] = np.exp(rest[count])
+        made = replace(made, error=error, seconds=seconds)
+        rest = rest[count + 1 :]
+    return Noise(made, tuple(np.exp(rest).tolist()))
 
 
 def _units(problem: FactorProblem, noise: Noise) -> Array:
@@ -109,20 +123,21 @@ def _units(problem: FactorProblem, noise: Noise) -> Array:
     m = len(problem.start)
     read = np.maximum(np.isfinite(problem.values).sum(axis=0), 2.0)
     seen = [max(images.values.size, 2) for images in problem.images]
-    lasting = [] if noise.joints.error is None else [0.4] * (m + 1)
+    count = len(_errors(noise.joints))
+    lasting = [0.4] * (count + (count > 0))
     return np.concatenate([np.sqrt(2.0 / read), [0.3] * m, lasting, np.sqrt(2.0 / np.array(seen, float))])
 
 
 def _limits(start: Noise, step_s: float) -> Array:
     """Least and most of each logarithm (P,2)."""
     joints = start.joints
-    m = len(joints.white)
     wide = np.log(_SPAN)
     white = [(v - wide, v + wide) for v in np.log(joints.white)]
     process = [(v - wide, v + wide) for v in np.log(joints.process)]
     shortest = np.log(FEWEST_READINGS * step_s)
-    error = [(np.log(1e-6), np.log(0.3))] * m
-    lasting = [] if joints.error is None else [*error, (shortest, np.log(LONGEST_S))]
+    count = len(_errors(joints))
+    error = [(np.log(1e-6), np.log(0.3))] * count
+    lasting = [*error, (shortest, np.log(LONGEST_S))] if count else []
     return np.array([*white, *process, *lasting, *[(-wide, wide)] * len(start.scales)])
 
 
@@ -140,22 +155,20 @@ def _cost(linear: Linearised, p: Array) -> tuple[float, Array]:
 
 def _prior(p: Array, noise: Noise) -> tuple[float, Array]:
     """−ln of the prior density, up to a constant, and its gradient."""
-    m = len(noise.joints.white)
     mean, std = np.zeros(len(p)), np.full(len(p), np.inf)
-    rest = 2 * m
-    if noise.joints.error is not None:
-        mean[rest : rest + m], std[rest : rest + m] = LOG_ERROR
-        mean[rest + m], std[rest + m] = LOG_SECONDS
-        rest += m + 1
+    rest = 2 * len(noise.joints.white)
+    if count := len(_errors(noise.joints)):
+        mean[rest : rest + count], std[rest : rest + count] = LOG_ERROR
+        mean[rest + count], std[rest + count] = LOG_SECONDS
+        rest += count + 1
     mean[rest:], std[rest:] = LOG_SCALE
     away = (p - mean) / std
-    return float(0.5 * away @ away), away / std
+    return float(0.5 * away @ away), np.asarray(away / std)
 
 
 def _slopes(linear: Linearised, beliefs: Smoothed) -> Array:
     """Gradient of −ln p of the log by all logarithms."""
     joints = linear.noise.joints
-    m = len(joints.white)
     expected = _expect(linear, beliefs)
     here = _joint_costs(linear, joints, expected, beliefs)
 
@@ -164,8 +177,8 @@ def _slopes(linear: Linearised, beliefs: Smoothed) -> Array:
         return (_joint_costs(linear, there, expected, beliefs) - here) / STEP
 
     parts = [change("white"), change("process")]
-    if joints.error is not None:
-        parts += [change("error"), change("seconds").sum(keepdims=True)]
+    if len(_errors(joints)):
+        parts += [change("error")[joints.learned], change("seconds")[joints.learned].sum(keepdims=True)]
     return np.concatenate([*parts, _scale_slopes(linear, beliefs)])
 
 
@@ -196,7 +209,7 @@ def _joint_costs(linear: Linearised, joints: JointNoise, expected: _Expected, be
     cost -= np.einsum("impr,impr->m", pairs.right, expected.with_columns)
     cost += 0.5 * np.einsum("imrq,qr->m", pairs.square, expected.columns)
     cost += pairs.logs.sum(axis=0)
-    return cost + _knot_costs(linear, joints, beliefs) + _start_costs(linear, joints, expected)
+    return np.asarray(cost + _knot_costs(linear, joints, beliefs) + _start_costs(linear, joints, expected))
 
 
 def _knot_costs(linear: Linearised, joints: JointNoise, beliefs: Smoothed) -> Array:

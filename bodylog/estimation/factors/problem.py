@@ -1,7 +1,6 @@
 """A log as factors: its knots, readings and images, the noise that is assumed, and the columns of its border."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -9,14 +8,7 @@ import numpy as np
 from ...types import Array
 from ..measurements.records import Sighting
 from .columns import Column, Path
-from .condensing import (
-    LOG_2PI,
-    PairFactors,
-    Readings,
-    condense,
-    normalisation,
-    place_readings,
-)
+from .condensing import LOG_2PI, Readings, condense, normalisation, place_readings
 from .encoder_error import JointNoise
 from .images import ImageRows, Images, alike, image_rows, place_images
 from .solve import System
@@ -151,10 +143,12 @@ def build_system(linear: Linearised) -> System:
     pair_info[:, size + first, size + first] = fresh
     pair_info[:, first, size + first] = pair_info[:, size + first, first] = -linear.alike * fresh
     logs_of_pairs = logs_of_pairs - 0.5 * np.log(fresh).sum(axis=1)
+    means = np.array([column.mean for column in problem.columns])
     precision = np.array([1.0 / column.std**2 for column in problem.columns])
-    return System(
-        info, right, square, logs, pair_info, pair_right, pairs.square.sum(axis=1), logs_of_pairs, precision
+    system = System(
+        info, right, square, logs, pair_info, pair_right, pairs.square.sum(axis=1), logs_of_pairs, means, precision
     )
+    return system.about_means()
 
 
 def _add_start(
@@ -200,5 +194,3 @@ def _add_images(
     own = 0.5 * images.believed[:, None] * (LOG_2PI + np.log(scale * rows.var))
     np.add.at(logs, images.knots, own.sum(axis=1))
 
-
-__all__ = ["FactorProblem", "Linearised", "Noise", "PairFactors", "build_system", "linearise"]

@@ -8,7 +8,7 @@ so a column's gain is a Schur complement. Eliminating knot by knot leaves at eac
 filter. Adding what all after it say gives the smoother: both are read from one Cholesky factor.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,8 @@ class System:
     """Factors on K knots of S states: own at a knot, pair from each to the next; R−1 columns, with their precision.
 
     info (K,S,S), right (K,S,R), square (K,R,R), logs (K,): at knots · pair_info (K-1,2S,2S), pair_right (K-1,2S,R),
-    pair_square (K-1,R,R), pair_logs (K-1,) · precision (C,): of the columns' sizes before the log.
+    pair_square (K-1,R,R), pair_logs (K-1,) · means, precision (C,): of the columns' sizes before the log. The first
+    right-hand side is about the means.
     """
 
     info: Array
@@ -33,7 +34,19 @@ class System:
     pair_right: Array
     pair_square: Array
     pair_logs: Array
+    means: Array
     precision: Array
+
+    def about_means(self) -> "System":
+        """The same with the means of the columns' sizes in the first right-hand side, which is given without them."""
+        if not self.means.any():
+            return self
+        turn = np.eye(1 + len(self.means))
+        turn[1:, 0] = -self.means
+        return replace(
+            self, right=self.right @ turn, square=turn.T @ self.square @ turn, pair_right=self.pair_right @ turn,
+            pair_square=turn.T @ self.pair_square @ turn,
+        )  # fmt: skip
 
     @property
     def states(self) -> int:
@@ -69,7 +82,7 @@ class Eliminated:
     @property
     def nats(self) -> float:
         """−ln p of all measurements, with the columns' sizes integrated out."""
-        return self.logs + _column_nats(self.schur[None], self.precision)[0]
+        return self.logs + float(_column_nats(self.schur[None], self.precision)[0])
 
 
 def eliminate(system: System) -> Eliminated:
@@ -148,7 +161,8 @@ def smoothed(system: System, eliminated: Eliminated) -> Smoothed:
     sizes = sizes_cov @ eliminated.schur[1:, 0]
     mean = paths[..., 0] - paths[..., 1:] @ sizes
     return Smoothed(
-        mean, cov, np.repeat(sizes[None], count, axis=0), np.repeat(sizes_cov[None], count, axis=0),
+        mean, cov, np.repeat((sizes + system.means)[None], count, axis=0),
+        np.repeat(sizes_cov[None], count, axis=0),
         paths[..., 1:], eliminated.nats, between,
     )
 
@@ -192,7 +206,7 @@ def _forward(
     sizes_cov = np.linalg.inv(schur[:, 1:, 1:] + np.diag(system.precision))
     sizes = (sizes_cov @ schur[:, 1:, :1])[..., 0]
     mean = paths[..., 0] - np.einsum("ksc,kc->ks", paths[..., 1:], sizes)
-    return Marginals(mean, inverse, sizes, sizes_cov, paths[..., 1:], nats)
+    return Marginals(mean, inverse, sizes + system.means, sizes_cov, paths[..., 1:], nats)
 
 
 def _inverse_of_posdef(info: Array) -> tuple[Array, Array]:

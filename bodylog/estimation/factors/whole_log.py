@@ -1,0 +1,281 @@
+"""A log that its hardware's errors explain: posed as factors, explained, and solved at every instant."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...types import Array
+from ..faults.threshold import FAR
+from ..inference.problem import Problem
+from ..measurements.records import Encoders, Sighting
+from .encoder_error import LEAST_STD, JointNoise
+from .gauss_newton import Solution, path_of, solve
+from .hypotheses import FIRST_S, FIRST_STD, Explanation, explain
+from .problem import FactorProblem, Noise
+from .robust import believed, left_out
+from .solve import Marginals, filtered, predicted
+
+CLOSEST_S = 4e-3
+"""s: instants closer than this share a knot, because the information of motion grows with the fifth power of a step."""
+COARSE_S = 0.01
+"""s between the knots that noise is learned on, at least: images, and instants where there are none for long."""
+SPARSE_S = 0.1
+LEARNED_S = 60.0
+"""s of a log that noise is learned from; longer ones give their middle."""
+ORDER = 3
+"""White jerk: white acceleration takes the noise of motors for motion."""
+MEDIAN_SQUARE = (0.455, 1.386, 2.366)
+"""Medians of χ² with 1, 2 and 3 degrees of freedom."""
+FIRST_PROCESS = 10.0
+"""rad²/s⁵ with which the search begins where the encoders give none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """Beliefs at a timeline's E instants.
+
+    angles, rates, offsets (E,M), cov (E,M,M) of the links · nats (E,) of the measurements there · before (E,M) and its
+    cov (E,M,M): by what came earlier, or by the rest of the log · encoder_errors (E,M), in standard deviations.
+    """
+
+    angles: Array
+    rates: Array
+    offsets: Array
+    cov: Array
+    nats: Array
+    before: Array
+    before_cov: Array
+    encoder_errors: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ExplainedLog:
+    """A log explained by its hardware's errors: the explanation, noise, and the beliefs."""
+
+    explanation: Explanation
+    noise: Noise
+    instants: Instants
+
+
+def explain_log(problem: Problem, causal: bool) -> ExplainedLog | None:
+    """Explain a log, and solve it at each instant by what came before (causal) or by all; None where noise explains it.
+
+    problem: with the encoder offsets that were found.
+    """
+    encoders = problem.evidence.encoders
+    sightings = tuple(one for one in problem.evidence.sightings if np.isfinite(one.values).all(axis=1).any())
+    if encoders is None or not sightings or not np.isfinite(encoders.values).any():
+        return None
+    fine = _posed(problem, encoders, sightings, _thinned(problem.timeline.t, CLOSEST_S))
+    noise = _first_noise(problem, len(sightings))
+    fine = _weighed(fine, _with_lasting(noise), rough=True)
+    coarse = _middle(fine)
+    step_s = float(np.median(np.diff(encoders.t)))
+    found = explain(coarse, noise, step_s)
+    if found is None:
+        return None
+    fine = replace(fine, columns=found.settled_columns, nearest=not causal)
+    fine = _weighed(fine, found.learned.noise, rough=False)
+    solution = solve(fine, found.learned.noise, causal=causal)
+    return ExplainedLog(found, found.learned.noise, _at_instants(problem, fine, solution, causal))
+
+
+def _posed(problem: Problem, encoders: Encoders, sightings: tuple[Sighting, ...], knots: Array) -> FactorProblem:
+    relative = np.ones(encoders.values.shape) if encoders.relative is None else encoders.relative
+    return FactorProblem(knots, encoders.t, encoders.values, relative, problem.start, sightings)
+
+
+def _thinned(t: Array, least: float) -> Array:
+    """Times (K,) of t (E,) s that are at least so far apart."""
+    kept = []
+    last = -np.inf
+    for one in t.tolist():
+        if one - last >= least:
+            kept.append(one)
+            last = one
+    return np.array(kept)
+
+
+def _middle(fine: FactorProblem) -> FactorProblem:
+    """The log, or its middle, on knots at its images."""
+    centre = 0.5 * (fine.knots[0] + fine.knots[-1])
+    begin, end = centre - LEARNED_S / 2, centre + LEARNED_S / 2
+    seen = [one.t[np.isfinite(one.values).all(axis=1)] for one in fine.sightings]
+    spread = np.arange(fine.knots[0], fine.knots[-1], SPARSE_S)
+    images = np.sort(np.concatenate(seen))
+    alone = np.abs(spread[:, None] - images[None]).min(axis=1) > SPARSE_S if len(images) else spread >= 0
+    ends = [fine.knots[0], fine.knots[-1]]
+    t = np.unique(np.concatenate([images, spread[alone], ends]))
+    knots = _thinned(t[(t >= begin) & (t <= end)], COARSE_S)
+    rows = (fine.t >= knots[0] - 1e-9) & (fine.t <= knots[-1] + 1e-9)
+    sightings, shares = [], []
+    assert fine.images_believed is not None and fine.believed is not None
+    for one, share in zip(fine.sightings, fine.images_believed, strict=True):
+        inside = (one.t >= knots[0]) & (one.t <= knots[-1])
+        shares.append(share[inside])
+        sightings.append(_part(one, inside))
+    return replace(
+        fine, knots=knots, t=fine.t[rows], values=fine.values[rows], relative=fine.relative[rows],
+        believed=fine.believed[rows], sightings=tuple(sightings), images_believed=tuple(shares),
+    )  # fmt: skip
+
+
+def _part(sighting: Sighting, rows: Array) -> Sighting:
+    """Some of a sense's images."""
+    cov, displaced = (None if one is None else one[rows] for one in (sighting.cov, sighting.displaced))
+    return replace(
+        sighting, t=sighting.t[rows], values=sighting.values[rows], var=sighting.var[rows],
+        source_ns=sighting.source_ns[rows], cov=cov, displaced=displaced,
+    )  # fmt: skip
+
+
+def _first_noise(problem: Problem, sights: int) -> Noise:
+    """White noise with which the search begins; a joint whose offset was found has it as a walk of its encoder."""
+    precision = problem.precision
+    m = len(problem.start)
+    process = np.full(m, FIRST_PROCESS)
+    if precision.learned is not None:
+        process = np.clip(precision.learned[ORDER - 2].process, 1e-2, 1e3)
+    drift = np.zeros(m) if precision.drift is None else precision.drift
+    walks = drift > 0.0
+    seconds = np.where(walks, 2.0 * FAR**2 / np.where(walks, drift, 1.0), FIRST_S)
+    error = np.where(walks, FAR, LEAST_STD) if walks.any() else None
+    joints = JointNoise(ORDER, precision.encoder, process, error, seconds, np.zeros(m, bool), ~walks)
+    return Noise(joints, (1.0,) * sights)
+
+
+def _with_lasting(noise: Noise) -> Noise:
+    """The noise with errors that last, of the usual size."""
+    joints = noise.joints
+    given = np.zeros(len(joints.white)) if joints.error is None else joints.error
+    return replace(noise, joints=replace(joints, error=np.where(joints.learned, 4.0 * FIRST_STD, given)))
+
+
+def _weighed(fine: FactorProblem, noise: Noise, rough: bool) -> FactorProblem:
+    """The problem with the share that is believed of each reading and image.
+
+    rough: before the noise is known, images are judged by what most of them are off.
+    """
+    open_problem = replace(fine, believed=None, images_believed=None)
+    solution = solve(open_problem, noise)
+    for _ in range(2):
+        fine = _with_shares(fine, solution, noise, rough)
+        solution = solve(fine, noise, path_of(fine, noise, solution.beliefs))
+    return fine
+
+
+def _with_shares(fine: FactorProblem, solution: Solution, noise: Noise, rough: bool) -> FactorProblem:
+    """Shares by what the rest of the log predicts."""
+    beliefs, joints = solution.beliefs, noise.joints
+    after = np.clip(np.searchsorted(fine.knots, fine.t), 0, len(fine.knots) - 1)
+    before = np.maximum(after - 1, 0)
+    knot = np.where(fine.t - fine.knots[before] < fine.knots[after] - fine.t, before, after)
+    rows = _reading_rows(joints, fine.t - fine.knots[knot], solution.system.states)
+    columns = solution.linear.problem.columns
+    moved = np.zeros((len(fine.t), len(fine.start), len(columns)))
+    for c, column in enumerate(columns):
+        moved[..., c] = column.reads(fine.t, solution.linear.path)
+    mean, cov = beliefs.of_rows(rows, knot, moved)
+    own = np.einsum("nmm->nm", cov)
+    share = np.ones(fine.values.shape)
+    used = solution.linear.problem.believed
+    for j in range(len(fine.start)):
+        known = np.isfinite(fine.values[:, j])
+        weight = 1.0 if used is None else used[known, j]
+        var = (joints.white[j] * fine.relative[known, j])[:, None, None]
+        rest, spread = left_out(
+            (fine.values[known, j] - mean[known, j])[:, None], var / np.reshape(weight, (-1, 1, 1)) * np.ones(var.shape),
+            own[known, j][:, None, None],
+        )  # fmt: skip
+        # what the others predict, and this one's own noise if it is sound
+        spread = spread - var / np.reshape(weight, (-1, 1, 1)) + var
+        share[known, j] = believed(rest, np.maximum(spread, var), np.array([2.0 * np.pi]))
+    shares = []
+    for images, linear in zip(solution.linear.problem.images, solution.linear.rows, strict=True):
+        shares.append(_image_shares(images.sighting, images.frames, solution, linear, images, noise, rough))
+    return replace(fine, believed=share, images_believed=tuple(shares))
+
+
+def _image_shares(sighting: Sighting, frames: Array, solution: Solution, rows, images, noise: Noise, rough: bool) -> Array:
+    """Shares (N,) of a sense's images."""
+    index = solution.linear.problem.sightings.index(sighting)
+    mean, cov = solution.beliefs.of_rows(rows.slopes, images.knots, rows.right[..., 1:])
+    one = np.eye(mean.shape[1])
+    plain = (noise.scales[index] * rows.var)[..., None] * one
+    used = plain / images.believed[:, None, None]
+    rest, spread = left_out(rows.right[..., 0] - mean, used, cov)
+    spread = spread - used + plain
+    if rough:
+        square = np.einsum("fd,fd->f", rest, np.linalg.solve(spread, rest[..., None])[..., 0])
+        usual = MEDIAN_SQUARE[min(mean.shape[1], len(MEDIAN_SQUARE)) - 1]
+        spread = spread * max(1.0, float(np.median(square)) / usual)
+    span = np.ptp(images.values, axis=0) + 10.0 * np.sqrt(np.median(rows.var, axis=0))
+    share = np.ones(len(sighting.t))
+    share[frames] = believed(rest, spread, span)
+    return share
+
+
+def _reading_rows(joints: JointNoise, ahead: Array, size: int) -> Array:
+    """What encoders read, as rows (N,M,S) on the state of a knot `ahead` (N,) s before."""
+    m, p = len(joints.white), joints.states
+    rows = np.zeros((len(ahead), m, size))
+    stands = replace(joints, at_link=~joints.at_link).stands(ahead)
+    for j in range(m):
+        rows[:, j, j * p : (j + 1) * p] = stands[:, j]
+    return rows
+
+
+def _at_instants(problem: Problem, fine: FactorProblem, solution: Solution, causal: bool) -> Instants:
+    """The beliefs at the instants of the log's timeline."""
+    t, noise = problem.timeline.t, solution.linear.noise
+    joints, m = noise.joints, len(problem.start)
+    p = joints.states
+    knot = np.clip(np.searchsorted(fine.knots, t + 1e-9) - 1, 0, len(fine.knots) - 1)
+    ahead = t - fine.knots[knot]
+    size = solution.system.states
+    stands = np.zeros((len(t), m, size))
+    rows = joints.stands(ahead)
+    for j in range(m):
+        stands[:, j, j * p : (j + 1) * p] = rows[:, j]
+    path = path_of(fine, noise, solution.beliefs)
+    bends = np.zeros((len(t), m, len(fine.columns)))
+    for c, column in enumerate(fine.columns):
+        if column.bends:
+            bends[..., c] = column.moves_links(path)[knot]
+    angles, cov = solution.beliefs.of_rows(stands, knot, bends)
+    state = solution.beliefs.mean[:, : m * p].reshape(-1, m, p)
+    rates = state[knot, :, 1] + ahead[:, None] * state[knot, :, 2]
+    offsets = np.zeros((len(t), m))
+    if joints.error is not None:
+        offsets = np.where(joints.learned, 0.0, state[knot, :, -1])
+    forward = filtered(solution.system, solution.eliminated)
+    at_knot = np.abs(ahead) <= 1e-9
+    nats = np.zeros(len(t))
+    nats[at_knot] = np.diff(np.asarray(forward.nats), prepend=0.0)
+    early = predicted(solution.system, solution.eliminated) if causal else solution.beliefs
+    before, before_cov = early.of_rows(stands, knot, bends)
+    errors = _encoder_errors(problem, fine, solution, early, causal)
+    return Instants(angles, rates, offsets, cov, nats, before, before_cov, errors)
+
+
+def _encoder_errors(
+    problem: Problem, fine: FactorProblem, solution: Solution, early: Marginals, causal: bool
+) -> Array:
+    """Errors (E,M) of readings in standard deviations, by what came before or by the rest of the log; NaN elsewhere."""
+    line, joints = problem.timeline, solution.linear.noise.joints
+    found = np.full((len(line.t), len(problem.start)), np.nan)
+    knot = np.clip(np.searchsorted(fine.knots, fine.t + 1e-9) - 1, 0, len(fine.knots) - 1)
+    ahead = fine.t - fine.knots[knot]
+    rows = _reading_rows(joints, ahead, solution.system.states)
+    moved = np.zeros((*fine.values.shape, len(fine.columns)))
+    mean, cov = early.of_rows(rows, knot, moved)
+    own = np.einsum("nmm->nm", cov)
+    var = joints.white * fine.relative
+    assert fine.believed is not None
+    total = var + own if causal else np.maximum(var / fine.believed - own, 1e-3 * var)
+    at_knot = ahead <= 1e-9
+    found[line.encoders[at_knot]] = ((fine.values - mean) / np.sqrt(total))[at_knot]
+    return found
+
+
