@@ -134,8 +134,9 @@ class Displacement(Column):
 def follow_slack(motors: Array, half: Array, noise: Array) -> Array:
     """Where links lie within their play (K,M), −1 … 1, while motors (K,M) rad turn; half (M,) rad of the play.
 
-    The link stays until the motor has gone through the play, then trails it (the backlash operator). noise (M,) rad: how
-    far the motors' angles are known. A turn back within it counts for none, or noise alone would drag the link along.
+    The link stays until the motor has gone through the play, then trails it (the backlash operator).
+    noise (M,) rad: how far the motors' angles are known. A turn back within it counts for none, as noise alone would
+    drag the link along.
     """
     reach = half + noise
     links = motors[0]

@@ -34,6 +34,11 @@ class Explanation:
     gains: Mapping[str, float]
 
     @property
+    def lasts(self) -> bool:
+        """Whether errors that last win over none, beside the columns."""
+        return self.lasting > NATS
+
+    @property
     def settled_columns(self) -> tuple[Column, ...]:
         """The columns about the sizes that the log gives, as its noise is what the log gives."""
         stds = np.sqrt(np.diag(self.learned.sizes_cov))
@@ -52,7 +57,7 @@ def explain(problem: FactorProblem, noise: Noise, step_s: float) -> Explanation 
         return None
     gains: dict[str, float] = {}
     play = tuple(Play("play", PLAY_STD, joint=j) for j in range(len(problem.start)))
-    loose = replace(problem, columns=play)
+    loose = replace(problem, columns=(*problem.columns, *play))
     stiff = _learn(loose, white.noise, step_s)
     loosely = _best([stiff, *(_learn(loose, one, step_s, stiff.path) for one in _lasting(white.noise))])
     without = white

@@ -1,17 +1,20 @@
 """A log that its hardware's errors explain: posed as factors, explained, and solved at every instant."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...types import Array
+from ...types import EITHER, Array
 from ..faults.threshold import FAR
 from ..inference.problem import Problem
-from ..measurements.records import Encoders, Sighting
+from ..measurements.records import Encoders, Sighting, unmixed
+from ..noise.quantisation import resolved
+from .columns import EncoderShift
 from .encoder_error import LEAST_STD, JointNoise
 from .gauss_newton import Solution, path_of, solve
 from .hypotheses import FIRST_S, FIRST_STD, Explanation, explain
+from .images import ImageRows, Images
 from .problem import FactorProblem, Noise
 from .robust import believed, left_out
 from .solve import Marginals, filtered, predicted
@@ -27,6 +30,8 @@ ORDER = 3
 """White jerk: white acceleration takes the noise of motors for motion."""
 MEDIAN_SQUARE = (0.455, 1.386, 2.366)
 """Medians of χ² with 1, 2 and 3 degrees of freedom."""
+MOST_COUNTS = 2.0
+"""Variances of whole counts up to which an error that lasts is that of the counts."""
 FIRST_PROCESS = 10.0
 """rad²/s⁵ with which the search begins where the encoders give none."""
 
@@ -51,11 +56,17 @@ class Instants:
 
 @dataclass(frozen=True, eq=False)
 class ExplainedLog:
-    """A log explained by its hardware's errors: the explanation, noise, and the beliefs."""
+    """A log explained by its hardware's errors: the explanation, noise, and the beliefs.
+
+    senses: with images · places {sense}: mean (F,D), covariance (F,D,D) and the model's variance (F,D) of its images,
+    by what came earlier or by the rest of the log, without their own noise.
+    """
 
     explanation: Explanation
     noise: Noise
     instants: Instants
+    senses: tuple[str, ...]
+    places: Mapping[str, tuple[Array, Array, Array]]
 
 
 def explain_log(problem: Problem, causal: bool) -> ExplainedLog | None:
@@ -73,17 +84,42 @@ def explain_log(problem: Problem, causal: bool) -> ExplainedLog | None:
     coarse = _middle(fine)
     step_s = float(np.median(np.diff(encoders.t)))
     found = explain(coarse, noise, step_s)
-    if found is None:
+    if found is None or _is_of_counts(found, encoders):
         return None
     fine = replace(fine, columns=found.settled_columns, nearest=not causal)
     fine = _weighed(fine, found.learned.noise, rough=False)
     solution = solve(fine, found.learned.noise, causal=causal)
-    return ExplainedLog(found, found.learned.noise, _at_instants(problem, fine, solution, causal))
+    instants = _at_instants(problem, fine, solution, causal)
+    senses = tuple(one.name for one in sightings)
+    every = enumerate(senses)
+    places = {name: _places(problem, instants, solution, number, causal) for number, name in every}
+    return ExplainedLog(found, found.learned.noise, instants, senses, places)
+
+
+def _is_of_counts(found: Explanation, encoders: Encoders) -> bool:
+    """Whether what lasts is no more than whole counts make, which the noise has already."""
+    joints = found.learned.noise.joints
+    counts = np.array([resolved(column[np.isfinite(column)]) for column in encoders.values.T])
+    if found.gains or joints.error is None:
+        return False
+    return bool((np.square(joints.error) < MOST_COUNTS * counts)[joints.learned].all())
 
 
 def _posed(problem: Problem, encoders: Encoders, sightings: tuple[Sighting, ...], knots: Array) -> FactorProblem:
+    """The log on these knots (K,) s, about no path yet."""
     relative = np.ones(encoders.values.shape) if encoders.relative is None else encoders.relative
-    return FactorProblem(knots, encoders.t, encoders.values, relative, problem.start, sightings)
+    return FactorProblem(
+        knots, encoders.t, encoders.values, relative, problem.start, sightings, tuple(_repaired_steps(problem))
+    )
+
+
+def _repaired_steps(problem: Problem) -> Iterator[EncoderShift]:
+    """Steps that were taken out of readings: what is left of each is known to its standard deviation."""
+    names = problem.evidence.joints
+    for fault in problem.evidence.faults:
+        joint = fault.name.partition(EITHER)[0]
+        if fault.sense == "encoders" and fault.std is not None and joint in names:
+            yield EncoderShift("repaired step", fault.std, joint=names.index(joint), since=fault.since)
 
 
 def _thinned(t: Array, least: float) -> Array:
@@ -182,27 +218,25 @@ def _with_shares(fine: FactorProblem, solution: Solution, noise: Noise, rough: b
     used = solution.linear.problem.believed
     for j in range(len(fine.start)):
         known = np.isfinite(fine.values[:, j])
-        weight = 1.0 if used is None else used[known, j]
         var = (joints.white[j] * fine.relative[known, j])[:, None, None]
-        rest, spread = left_out(
-            (fine.values[known, j] - mean[known, j])[:, None], var / np.reshape(weight, (-1, 1, 1)) * np.ones(var.shape),
-            own[known, j][:, None, None],
-        )  # fmt: skip
+        weighed = var if used is None else var / used[known, j][:, None, None]
+        residual = (fine.values[known, j] - mean[known, j])[:, None]
+        rest, spread = left_out(residual, weighed, own[known, j][:, None, None])
         # what the others predict, and this one's own noise if it is sound
-        spread = spread - var / np.reshape(weight, (-1, 1, 1)) + var
+        spread = spread - weighed + var
         share[known, j] = believed(rest, np.maximum(spread, var), np.array([2.0 * np.pi]))
-    shares = []
+    shares: list[Array] = []
     for images, linear in zip(solution.linear.problem.images, solution.linear.rows, strict=True):
-        shares.append(_image_shares(images.sighting, images.frames, solution, linear, images, noise, rough))
+        scale = noise.scales[len(shares)]
+        shares.append(_image_shares(images, linear, beliefs, scale, rough))
     return replace(fine, believed=share, images_believed=tuple(shares))
 
 
-def _image_shares(sighting: Sighting, frames: Array, solution: Solution, rows, images, noise: Noise, rough: bool) -> Array:
+def _image_shares(images: Images, rows: ImageRows, beliefs: Marginals, scale: float, rough: bool) -> Array:
     """Shares (N,) of a sense's images."""
-    index = solution.linear.problem.sightings.index(sighting)
-    mean, cov = solution.beliefs.of_rows(rows.slopes, images.knots, rows.right[..., 1:])
+    mean, cov = beliefs.of_rows(rows.slopes, images.knots, rows.right[..., 1:])
     one = np.eye(mean.shape[1])
-    plain = (noise.scales[index] * rows.var)[..., None] * one
+    plain = (scale * rows.var)[..., None] * one
     used = plain / images.believed[:, None, None]
     rest, spread = left_out(rows.right[..., 0] - mean, used, cov)
     spread = spread - used + plain
@@ -211,8 +245,8 @@ def _image_shares(sighting: Sighting, frames: Array, solution: Solution, rows, i
         usual = MEDIAN_SQUARE[min(mean.shape[1], len(MEDIAN_SQUARE)) - 1]
         spread = spread * max(1.0, float(np.median(square)) / usual)
     span = np.ptp(images.values, axis=0) + 10.0 * np.sqrt(np.median(rows.var, axis=0))
-    share = np.ones(len(sighting.t))
-    share[frames] = believed(rest, spread, span)
+    share = np.ones(len(images.sighting.t))
+    share[images.frames] = believed(rest, spread, span)
     return share
 
 
@@ -257,6 +291,32 @@ def _at_instants(problem: Problem, fine: FactorProblem, solution: Solution, caus
     before, before_cov = early.of_rows(stands, knot, bends)
     errors = _encoder_errors(problem, fine, solution, early, causal)
     return Instants(angles, rates, offsets, cov, nats, before, before_cov, errors)
+
+
+def _places(
+    problem: Problem, instants: Instants, solution: Solution, number: int, causal: bool
+) -> tuple[Array, Array, Array]:
+    """Where a sense's images were expected: mean (F,D), covariance (F,D,D), the model's variance (F,D)."""
+    linear = solution.linear
+    images, rows = linear.problem.images[number], linear.rows[number]
+    sighting = images.sighting
+    names = [one.name for one in problem.evidence.sightings]
+    at = problem.timeline.sightings[names.index(sighting.name)]
+    mean, jac, var = sighting.model.predict(instants.before[at])
+    cov = jac @ instants.before_cov[at] @ jac.swapaxes(1, 2)
+    beliefs = predicted(solution.system, solution.eliminated) if causal else solution.beliefs
+    expected, spread = beliefs.of_rows(rows.slopes, images.knots, rows.right[..., 1:])
+    residual = rows.right[..., 0] - expected
+    if not causal:
+        var_used = linear.noise.scales[number] * rows.var / images.believed[:, None]
+        noise = var_used[..., None] * np.eye(residual.shape[1])
+        residual, left = left_out(residual, noise, spread)
+        spread = left - noise
+    # the model's error is among the states
+    own = unmixed(images.mix, (images.values - residual, spread, np.zeros(residual.shape)))
+    mean, cov, var = mean.copy(), cov.copy(), np.array(var)
+    mean[images.frames], cov[images.frames], var[images.frames] = own
+    return mean, cov, var
 
 
 def _encoder_errors(
