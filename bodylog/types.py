@@ -257,7 +257,8 @@ class Capabilities:
 
 HARDWARE_ERRORS = "hardware_errors"
 """Key of an estimate's settings for errors of joints and encoders that it allows for: nats over white noise alone; play
-{joint: rad, std}; lasting: std (rad), seconds, nats, at encoder or link, or None; row_time: seconds, std, or None."""
+{joint: rad, std}; lasting: std (rad), seconds, nats, at encoder or link, or None; row_time: seconds, std, or None;
+late {camera: seconds, std, nats}: what is left of its delay."""
 
 
 @dataclass(frozen=True, eq=False)

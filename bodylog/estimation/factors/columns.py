@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...types import Array
+from ..measurements.gather import camera
 
 if TYPE_CHECKING:
     from .images import Images
@@ -82,11 +83,13 @@ class Play(Column):
 
 @dataclass(frozen=True)
 class Delay(Column):
-    """How late images are against the encoders, s: they show links as they were before."""
+    """How late a camera's images are against the encoders, s: they show links as they were before."""
+
+    camera: str = ""
 
     def moves_images(self, images: "Images", path: Path) -> Array:
-        """Minus the rate."""
-        return -path.at_images(images).rates
+        """Minus the rate, in this camera's images."""
+        return -path.at_images(images).rates * float(camera(images.sighting.name) == self.camera)
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def condense(readings: Readings, noise: JointNoise) -> PairFactors:
     """
     steps, count, m, r = readings.between.shape
     p = noise.states
-    moves = noise.transition(readings.gaps)
+    decays = np.exp(-readings.gaps[..., None] / noise.seconds)
     gains = noise.covariance(readings.gaps)
     reads = noise.reads.T[:, None, :]
     values = np.ascontiguousarray(np.moveaxis(readings.between, -1, 1))
@@ -112,10 +112,10 @@ def condense(readings: Readings, noise: JointNoise) -> PairFactors:
     right = np.zeros((p, r, count, m))
     square = np.zeros((r, r, count, m))
     for k in range(steps + 1):
-        move = moves[:, :, k]
-        carry = multiply(move, carry)
-        shift = multiply(move, shift)
-        cov = multiply(multiply(move, cov), move.swapaxes(0, 1)) + gains[:, :, k]
+        ahead = (readings.gaps[k][:, None], decays[k])
+        carry = noise.advance(carry, *ahead)
+        shift = noise.advance(shift, *ahead)
+        cov = noise.advance(noise.advance(cov, *ahead).swapaxes(0, 1), *ahead) + gains[:, :, k]
         if k == steps:
             break
         seen = (reads[:, None] * carry).sum(axis=0)
@@ -135,14 +135,6 @@ def condense(readings: Readings, noise: JointNoise) -> PairFactors:
     parts = [np.moveaxis(part, (2, 3), (0, 1)) for part in (carry, shift, cov, info, right, square)]
     carry, shift, cov, info, right, square = parts
     return _pair_factors(carry, shift, cov, PairFactors(info, right, square, logs))
-
-
-def multiply(left: Array, right: Array) -> Array:
-    """Products (a,c,…) of many small matrices (a,b,…) and (b,c,…)."""
-    found = left[:, 0, None] * right[0]
-    for k in range(1, left.shape[1]):
-        found += left[:, k, None] * right[k]
-    return np.asarray(found)
 
 
 def normalisation(var: Array, believed: Array) -> Array:

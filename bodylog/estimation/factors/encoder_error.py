@@ -67,14 +67,16 @@ class JointNoise:
             var = np.column_stack([var, np.square(np.maximum(self.error, LEAST_STD))])
         return np.asarray(np.eye(self.states) / var[:, None, :])
 
-    def transition(self, gap: Array) -> Array:
-        """Transitions (p,p,…,M) of the state over gaps (…) s."""
-        found = np.zeros((self.states, self.states, *gap.shape, len(self.white)))
-        moved = motion.transition(self.order, gap.ravel()).reshape(*gap.shape, self.order, self.order)
-        found[: self.order, : self.order] = np.moveaxis(moved, (-2, -1), (0, 1))[..., None]
+    def advance(self, states: Array, gap: Array, decay: Array) -> Array:
+        """Means or columns of states (p,…,I,M) after gaps (I,1) s, over which errors keep `decay` (I,M)."""
+        moved = states.copy()
+        moved[0] += gap * states[1]
+        if self.order == 3:
+            moved[0] += 0.5 * gap * gap * states[2]
+            moved[1] += gap * states[2]
         if self.error is not None:
-            found[self.order, self.order] = np.exp(-gap[..., None] / self.seconds)
-        return found
+            moved[self.order] *= decay
+        return moved
 
     def covariance(self, gap: Array) -> Array:
         """Covariances (p,p,…,M) that the state gains over gaps (…) s."""

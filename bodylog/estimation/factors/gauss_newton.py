@@ -71,10 +71,12 @@ def path_of(problem: FactorProblem, noise: Noise, beliefs: Marginals) -> Path:
     return replace(path, links=links)
 
 
-def solve(problem: FactorProblem, noise: Noise, path: Path | None = None, causal: bool = False) -> Solution:
+def solve(
+    problem: FactorProblem, noise: Noise, path: Path | None = None, causal: bool = False, rounds: int = ROUNDS
+) -> Solution:
     """Linearise and solve until the links rest; `causal`: by what was known at each knot."""
     path = initial_path(problem) if path is None else path
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         linear = linearise(problem, path, noise)
         system = build_system(linear)
         eliminated = eliminate(system)

@@ -1,12 +1,13 @@
 """What explains a log: white noise alone, errors that last, play, and columns beside them, each by its evidence."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..faults.threshold import NATS
-from .columns import Column, Path, Play, RowTime
+from ..measurements.gather import camera
+from .columns import Column, Delay, Path, Play, RowTime
 from .gauss_newton import path_of, solve
 from .noise import Learned, learn_noise
 from .problem import FactorProblem, Noise
@@ -16,15 +17,28 @@ FIRST_STD = 1e-3
 FIRST_S = 1.0
 PLAY_STD = 0.01
 """rad: prior standard deviation of half a play, 1.1° of play."""
+DELAY_STD = 0.05
+"""s: of what is left of a camera's delay."""
 ROW_TIME_STD = 0.03
 """s: of a picture's row time; most pictures take less than 1/30 s."""
+
+
+@dataclass(frozen=True)
+class Late:
+    """How much later a camera is than was allowed for: seconds ± std, and the nats by which that wins."""
+
+    camera: str
+    seconds: float
+    std: float
+    nats: float
 
 
 @dataclass(frozen=True)
 class Explanation:
     """A log explained: its columns, and noise, path and sizes with most evidence.
 
-    nats: gain over white noise alone · lasting: gain by errors that last, beside the columns · gains {column: nats}.
+    nats: gain over white noise alone · lasting: gain by errors that last, beside the columns · gains {column: nats} ·
+    delays: of cameras that are still late with all this accounted for.
     """
 
     columns: tuple[Column, ...]
@@ -32,6 +46,7 @@ class Explanation:
     nats: float
     lasting: float
     gains: Mapping[str, float]
+    delays: tuple[Late, ...] = ()
 
     @property
     def lasts(self) -> bool:
@@ -51,27 +66,38 @@ def explain(problem: FactorProblem, noise: Noise, step_s: float) -> Explanation 
 
     noise: white noise alone, with the offsets that are known · step_s: the encoders' usual step.
     """
-    white = _learn(problem, noise, step_s)
-    lasting = _best([_learn(problem, one, step_s) for one in _lasting(white.noise)])
+    white = _learn(problem, noise, step_s, rounds=2)
+    lasting = _best([_learn(problem, one, step_s, white.path) for one in _lasting(white.noise)])
     if white.nats - lasting.nats <= NATS:
         return None
     gains: dict[str, float] = {}
     play = tuple(Play("play", PLAY_STD, joint=j) for j in range(len(problem.start)))
     loose = replace(problem, columns=(*problem.columns, *play))
-    stiff = _learn(loose, white.noise, step_s)
-    loosely = _best([stiff, *(_learn(loose, one, step_s, stiff.path) for one in _lasting(white.noise))])
-    without = white
+    loosely = _best([_learn(loose, one, step_s, white.path) for one in _lasting(white.noise)])
     if lasting.nats - loosely.nats > NATS:
         gains["play"] = lasting.nats - loosely.nats
-        problem, lasting, without = loose, loosely, stiff
+        problem, lasting = loose, loosely
     rolling = replace(problem, columns=(*problem.columns, RowTime("row time", ROW_TIME_STD)))
     rolled = _learn(rolling, lasting.noise, step_s, lasting.path)
     if lasting.nats - rolled.nats > NATS:
         gains["row time"] = lasting.nats - rolled.nats
-        without = _learn(rolling, without.noise, step_s, without.path)
         problem, lasting = rolling, rolled
-    gained = white.nats - lasting.nats
-    return Explanation(problem.columns, lasting, gained, without.nats - lasting.nats, gains)
+    found = learn_noise(problem, lasting.noise, lasting.path, step_s)
+    gained = white.nats - found.nats
+    without = _learn(problem, white.noise, step_s, lasting.path).nats if gains else white.nats
+    delays = tuple(_delays_left(problem, found, step_s))
+    return Explanation(problem.columns, found, gained, without - found.nats, gains, delays)
+
+
+def _delays_left(problem: FactorProblem, found: Learned, step_s: float) -> Iterator[Late]:
+    """Yield the delays that cameras still have beside what explains the log."""
+    for name in dict.fromkeys(camera(one.name) for one in problem.sightings if one.name != "touch"):
+        late = replace(problem, columns=(*problem.columns, Delay("delay", DELAY_STD, camera=name)))
+        delayed = _learn(late, found.noise, step_s, found.path)
+        gain = found.nats - delayed.nats
+        if gain > NATS:
+            std = float(np.sqrt(delayed.sizes_cov[-1, -1]))
+            yield Late(name, float(delayed.sizes[-1]), std, gain)
 
 
 def _best(found: Sequence[Learned]) -> Learned:
@@ -90,7 +116,9 @@ def _lasting(noise: Noise) -> tuple[Noise, Noise]:
     return replace(noise, joints=own), replace(noise, joints=at_link)
 
 
-def _learn(problem: FactorProblem, noise: Noise, step_s: float, path: Path | None = None) -> Learned:
-    """Noise by evidence, from the path that this noise gives."""
-    solution = solve(problem, noise, path)
-    return learn_noise(problem, noise, path_of(problem, noise, solution.beliefs), step_s)
+def _learn(
+    problem: FactorProblem, noise: Noise, step_s: float, path: Path | None = None, rounds: int = 1
+) -> Learned:
+    """Noise by evidence, from the path that this noise gives; one round is enough to compare."""
+    solution = solve(problem, noise, path, rounds=4)
+    return learn_noise(problem, noise, path_of(problem, noise, solution.beliefs), step_s, rounds)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...types import Array
 from .columns import Path
-from .condensing import condense, normalisation
+from .condensing import PairFactors, condense, normalisation
 from .encoder_error import JointNoise
 from .gauss_newton import path_of
 from .problem import FactorProblem, Linearised, Noise, build_system, linearise
@@ -29,7 +29,7 @@ LONGEST_S = 60.0
 STEP = 2e-4
 """Change of a logarithm in differences: slopes are off by up to 0.1 nats by curvature, and by 0.01 by rounding."""
 ROUNDS = 3
-"""Times that the log is linearised again about what the last noise gives."""
+"""Times at most that the log is linearised again about what the last noise gives."""
 FLAT_NATS = 0.02
 """Gain of a round of the search that is its last."""
 _SPAN = 1e4
@@ -56,13 +56,15 @@ class _Expected:
     columns: Array
 
 
-def learn_noise(problem: FactorProblem, noise: Noise, path: Path, step_s: float) -> Learned:
+def learn_noise(
+    problem: FactorProblem, noise: Noise, path: Path, step_s: float, rounds: int = ROUNDS
+) -> Learned:
     """The most probable noise, from `noise` on; step_s: the encoders' usual step."""
     from scipy.optimize import minimize
 
     start = noise
     nats = np.inf
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         linear = linearise(problem, path, noise)
         limits = _limits(start, step_s)
         begin = np.clip(_to_vector(noise), limits[:, 0], limits[:, 1])
@@ -149,7 +151,7 @@ def _cost(linear: Linearised, p: Array) -> tuple[float, Array]:
     eliminated = eliminate(system)
     beliefs = smoothed(system, eliminated)
     prior, prior_slope = _prior(p, noise)
-    slope = _slopes(posed, beliefs)
+    slope = _slopes(posed, beliefs, system.joints)
     return eliminated.nats + prior, slope + prior_slope
 
 
@@ -166,15 +168,16 @@ def _prior(p: Array, noise: Noise) -> tuple[float, Array]:
     return float(0.5 * away @ away), np.asarray(away / std)
 
 
-def _slopes(linear: Linearised, beliefs: Smoothed) -> Array:
+def _slopes(linear: Linearised, beliefs: Smoothed, pairs: PairFactors) -> Array:
     """Gradient of −ln p of the log by all logarithms."""
     joints = linear.noise.joints
     expected = _expect(linear, beliefs)
-    here = _joint_costs(linear, joints, expected, beliefs)
+    here = _joint_costs(linear, joints, expected, beliefs, pairs)
 
     def change(name: str) -> Array:
         there = replace(joints, **{name: getattr(joints, name) * np.exp(STEP)})
-        return (_joint_costs(linear, there, expected, beliefs) - here) / STEP
+        changed = condense(linear.readings, there)
+        return (_joint_costs(linear, there, expected, beliefs, changed) - here) / STEP
 
     parts = [change("white"), change("process")]
     if len(_errors(joints)):
@@ -202,9 +205,10 @@ def _expect(linear: Linearised, beliefs: Smoothed) -> _Expected:
     return _Expected(pairs, with_columns, columns)
 
 
-def _joint_costs(linear: Linearised, joints: JointNoise, expected: _Expected, beliefs: Smoothed) -> Array:
+def _joint_costs(
+    linear: Linearised, joints: JointNoise, expected: _Expected, beliefs: Smoothed, pairs: PairFactors
+) -> Array:
     """Expected cost (M,) of each joint's factors with this noise."""
-    pairs = condense(linear.readings, joints)
     cost = 0.5 * np.einsum("imps,imsp->m", pairs.info, expected.pairs)
     cost -= np.einsum("impr,impr->m", pairs.right, expected.with_columns)
     cost += 0.5 * np.einsum("imrq,qr->m", pairs.square, expected.columns)

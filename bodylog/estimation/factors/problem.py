@@ -146,8 +146,9 @@ def build_system(linear: Linearised) -> System:
     means = np.array([column.mean for column in problem.columns])
     precision = np.array([1.0 / column.std**2 for column in problem.columns])
     system = System(
-        info, right, square, logs, pair_info, pair_right, pairs.square.sum(axis=1), logs_of_pairs, means, precision
-    )
+        info, right, square, logs, pair_info, pair_right, pairs.square.sum(axis=1), logs_of_pairs, means, precision,
+        pairs,
+    )  # fmt: skip
     return system.about_means()
 
 

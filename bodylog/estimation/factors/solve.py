@@ -15,6 +15,7 @@ import numpy as np
 from ...linear_algebra import selected_inverse
 from ...motion import banded
 from ...types import Array
+from .condensing import PairFactors
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,7 @@ class System:
 
     info (K,S,S), right (K,S,R), square (K,R,R), logs (K,): at knots · pair_info (K-1,2S,2S), pair_right (K-1,2S,R),
     pair_square (K-1,R,R), pair_logs (K-1,) · means, precision (C,): of the columns' sizes before the log. The first
-    right-hand side is about the means.
+    right-hand side is about the means · joints: the factors that pairs are made of.
     """
 
     info: Array
@@ -36,6 +37,7 @@ class System:
     pair_logs: Array
     means: Array
     precision: Array
+    joints: PairFactors
 
     def about_means(self) -> "System":
         """The same with the means of the columns' sizes in the first right-hand side, which is given without them."""

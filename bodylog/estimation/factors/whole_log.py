@@ -23,6 +23,8 @@ CLOSEST_S = 4e-3
 """s: instants closer than this share a knot, because the information of motion grows with the fifth power of a step."""
 COARSE_S = 0.01
 """s between the knots that noise is learned on, at least: images, and instants where there are none for long."""
+WEIGHING = 3
+"""Rounds of linearising before readings are weighed."""
 SPARSE_S = 0.1
 LEARNED_S = 60.0
 """s of a log that noise is learned from; longer ones give their middle."""
@@ -194,11 +196,11 @@ def _weighed(fine: FactorProblem, noise: Noise, rough: bool) -> FactorProblem:
     rough: before the noise is known, images are judged by what most of them are off.
     """
     open_problem = replace(fine, believed=None, images_believed=None)
-    solution = solve(open_problem, noise)
-    for _ in range(2):
-        fine = _with_shares(fine, solution, noise, rough)
-        solution = solve(fine, noise, path_of(fine, noise, solution.beliefs))
-    return fine
+    solution = solve(open_problem, noise, rounds=WEIGHING)
+    fine = _with_shares(fine, solution, noise, rough)
+    # an outlier no longer hides another, nor a sound reading
+    solution = solve(fine, noise, path_of(fine, noise, solution.beliefs), rounds=WEIGHING)
+    return _with_shares(fine, solution, noise, rough)
 
 
 def _with_shares(fine: FactorProblem, solution: Solution, noise: Noise, rough: bool) -> FactorProblem:

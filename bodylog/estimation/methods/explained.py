@@ -1,7 +1,7 @@
 """Beliefs that allow for errors of the hardware, in place of those of a filter that knows white noise alone."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -88,6 +88,7 @@ def _describe(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, Any]:
         elif isinstance(column, RowTime):
             told["row_time"] = {"seconds": size, "std": std}
     told["gains"] = dict(explanation.gains)
+    told["late"] = {one.camera: asdict(one) for one in explanation.delays}
     if joints.error is not None and (explanation.lasts or not told["play"]):
         size = float(np.sqrt(np.mean(np.square(joints.error[joints.learned]))))
         where = "link" if joints.at_link.any() else "encoder"
