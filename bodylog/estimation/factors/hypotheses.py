@@ -1,6 +1,6 @@
 """What explains a log: white noise alone, errors that last, play, and columns beside them, each by its evidence."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,6 +49,11 @@ class Explanation:
     delays: tuple[Late, ...] = ()
 
     @property
+    def is_sound(self) -> bool:
+        """Whether white noise alone explains the log as well."""
+        return self.nats <= NATS
+
+    @property
     def lasts(self) -> bool:
         """Whether errors that last win over none, beside the columns."""
         return self.lasting > NATS
@@ -61,19 +66,23 @@ class Explanation:
         return tuple(replace(column, mean=size, std=std) for column, size, std in each)
 
 
-def explain(problem: FactorProblem, noise: Noise, step_s: float) -> Explanation | None:
-    """The most probable explanation of a log by errors of its hardware; None where white noise explains it as well.
+def explain(
+    problem: FactorProblem, noise: Noise, step_s: float, is_of_counts: Callable[[Noise], bool]
+) -> Explanation:
+    """The most probable explanation of a log: white noise alone, or errors of its hardware.
 
-    noise: white noise alone, with the offsets that are known · step_s: the encoders' usual step.
+    noise: white noise alone, with the offsets that are known · step_s: the encoders' usual step · is_of_counts: whether
+    errors that last are those of whole counts.
     """
     white = _learn(problem, noise, step_s, rounds=2)
-    lasting = _best([_learn(problem, one, step_s, white.path) for one in _lasting(white.noise)])
-    if white.nats - lasting.nats <= NATS:
-        return None
+    sides = [_learn(problem, one, step_s, white.path) for one in _lasting(white.noise)]
+    lasting = _best(sides)
+    if white.nats - lasting.nats <= NATS or is_of_counts(lasting.noise):
+        return Explanation(problem.columns, white, 0.0, 0.0, {})
     gains: dict[str, float] = {}
     play = tuple(Play("play", PLAY_STD, joint=j) for j in range(len(problem.start)))
     loose = replace(problem, columns=(*problem.columns, *play))
-    loosely = _best([_learn(loose, one, step_s, white.path) for one in _lasting(white.noise)])
+    loosely = _best([_learn(loose, one.noise, step_s, one.path) for one in sides])
     if lasting.nats - loosely.nats > NATS:
         gains["play"] = lasting.nats - loosely.nats
         problem, lasting = loose, loosely
@@ -82,7 +91,7 @@ def explain(problem: FactorProblem, noise: Noise, step_s: float) -> Explanation 
     if lasting.nats - rolled.nats > NATS:
         gains["row time"] = lasting.nats - rolled.nats
         problem, lasting = rolling, rolled
-    found = learn_noise(problem, lasting.noise, lasting.path, step_s)
+    found = learn_noise(problem, lasting.noise, lasting.path, step_s, rounds=2)
     gained = white.nats - found.nats
     without = _learn(problem, white.noise, step_s, lasting.path).nats if gains else white.nats
     delays = tuple(_delays_left(problem, found, step_s))

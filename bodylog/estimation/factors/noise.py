@@ -30,8 +30,8 @@ STEP = 2e-4
 """Change of a logarithm in differences: slopes are off by up to 0.1 nats by curvature, and by 0.01 by rounding."""
 ROUNDS = 3
 """Times at most that the log is linearised again about what the last noise gives."""
-FLAT_NATS = 0.02
-"""Gain of a round of the search that is its last."""
+FLAT_NATS = 0.2
+"""Gain of a step of the search that is its last: hypotheses are compared to NATS."""
 _SPAN = 1e4
 """Factor by which variances may differ from those with which the search begins."""
 
@@ -67,6 +67,7 @@ def learn_noise(
     for _ in range(rounds):
         linear = linearise(problem, path, noise)
         limits = _limits(start, step_s)
+        first = eliminate(build_system(linear))
         begin = np.clip(_to_vector(noise), limits[:, 0], limits[:, 1])
         unit = _units(problem, noise)
 
@@ -76,14 +77,14 @@ def learn_noise(
 
         found = minimize(
             cost, begin / unit, jac=True, method="L-BFGS-B", bounds=limits / unit[:, None],
-            options={"maxiter": 30, "ftol": FLAT_NATS / max(abs(nats), 1e3) if np.isfinite(nats) else 1e-6},
+            options={"maxiter": 30, "ftol": FLAT_NATS / max(abs(first.nats), 1.0)},
         )  # fmt: skip
         noise = _from_vector(found.x * unit, noise)
         linear = linear.with_noise(noise)
         system = build_system(linear)
         beliefs = smoothed(system, eliminate(system))
         path = path_of(problem, noise, beliefs)
-        settled = abs(nats - found.fun) < 0.1
+        settled = abs(nats - found.fun) < FLAT_NATS
         nats = float(found.fun)
         if settled:
             break

@@ -28,6 +28,11 @@ def believed(residual: Array, cov: Array, span: Array) -> Array:
     return np.asarray(np.maximum(share, LEAST))
 
 
+def outlier_nats(share: Array, span: Array) -> float:
+    """−ln p of measurements as far as they are outliers: shares (F,) that are believed, span (D,)."""
+    return float(((1.0 - share) * (np.log(span).sum() - np.log(OUTLIERS))).sum())
+
+
 def left_out(residual: Array, noise: Array, belief: Array) -> tuple[Array, Array]:
     """Residuals (F,D) and covariances (F,D,D) without the measurement itself, from those with it.
 

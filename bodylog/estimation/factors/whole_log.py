@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from .gauss_newton import Solution, path_of, solve
 from .hypotheses import FIRST_S, FIRST_STD, Explanation, explain
 from .images import ImageRows, Images
 from .problem import FactorProblem, Noise
-from .robust import believed, left_out
+from .robust import believed, left_out, outlier_nats
 from .solve import Marginals, filtered, predicted
 
 CLOSEST_S = 4e-3
@@ -34,6 +35,8 @@ MEDIAN_SQUARE = (0.455, 1.386, 2.366)
 """Medians of χ² with 1, 2 and 3 degrees of freedom."""
 MOST_COUNTS = 2.0
 """Variances of whole counts up to which an error that lasts is that of the counts."""
+TURN = np.array([2.0 * np.pi])
+"""rad: within what an outlier of an encoder may be."""
 FIRST_PROCESS = 10.0
 """rad²/s⁵ with which the search begins where the encoders give none."""
 
@@ -58,21 +61,37 @@ class Instants:
 
 @dataclass(frozen=True, eq=False)
 class ExplainedLog:
-    """A log explained by its hardware's errors: the explanation, noise, and the beliefs.
+    """A log and what explains it: the problem on its finest knots, the explanation, −ln p with outliers included."""
 
-    senses: with images · places {sense}: mean (F,D), covariance (F,D,D) and the model's variance (F,D) of its images,
-    by what came earlier or by the rest of the log, without their own noise.
+    fine: FactorProblem
+    explanation: Explanation
+    nats: float
+
+    @property
+    def noise(self) -> Noise:
+        """The noise by evidence."""
+        return self.explanation.learned.noise
+
+    @property
+    def senses(self) -> tuple[str, ...]:
+        """Names of the senses that show something."""
+        return tuple(one.name for one in self.fine.sightings)
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedLog:
+    """Beliefs at the instants, and places {sense}: where its images were expected.
+
+    A place has mean (F,D), covariance (F,D,D) and the model's variance (F,D), by what came earlier or by the rest of
+    the log, without the image's own noise.
     """
 
-    explanation: Explanation
-    noise: Noise
     instants: Instants
-    senses: tuple[str, ...]
     places: Mapping[str, tuple[Array, Array, Array]]
 
 
-def explain_log(problem: Problem, causal: bool) -> ExplainedLog | None:
-    """Explain a log, and solve it at each instant by what came before (causal) or by all; None where noise explains it.
+def explain_log(problem: Problem) -> ExplainedLog | None:
+    """Explain a log by white noise alone, or by errors of its hardware; None where it has no readings or no images.
 
     problem: with the encoder offsets that were found.
     """
@@ -84,27 +103,41 @@ def explain_log(problem: Problem, causal: bool) -> ExplainedLog | None:
     noise = _first_noise(problem, len(sightings))
     fine = _weighed(fine, _with_lasting(noise), rough=True)
     coarse = _middle(fine)
-    step_s = float(np.median(np.diff(encoders.t)))
-    found = explain(coarse, noise, step_s)
-    if found is None or _is_of_counts(found, encoders):
-        return None
-    fine = replace(fine, columns=found.settled_columns, nearest=not causal)
-    fine = _weighed(fine, found.learned.noise, rough=False)
-    solution = solve(fine, found.learned.noise, causal=causal)
+    found = explain(coarse, noise, float(np.median(np.diff(encoders.t))), partial(_is_of_counts, encoders=encoders))
+    return ExplainedLog(fine, found, found.learned.nats + _outliers(coarse))
+
+
+def solve_log(problem: Problem, found: ExplainedLog, causal: bool) -> SolvedLog:
+    """The beliefs at each instant by what came before (causal) or by the whole log."""
+    fine = replace(found.fine, columns=found.explanation.settled_columns, nearest=not causal)
+    fine = _weighed(fine, found.noise, rough=False)
+    solution = solve(fine, found.noise, causal=causal)
     instants = _at_instants(problem, fine, solution, causal)
-    senses = tuple(one.name for one in sightings)
-    every = enumerate(senses)
-    places = {name: _places(problem, instants, solution, number, causal) for number, name in every}
-    return ExplainedLog(found, found.learned.noise, instants, senses, places)
+    every = enumerate(found.senses)
+    return SolvedLog(instants, {name: _places(problem, instants, solution, number, causal) for number, name in every})
 
 
-def _is_of_counts(found: Explanation, encoders: Encoders) -> bool:
-    """Whether what lasts is no more than whole counts make, which the noise has already."""
-    joints = found.learned.noise.joints
+def _outliers(problem: FactorProblem) -> float:
+    """−ln p of readings and images as far as they are outliers."""
+    assert problem.believed is not None and problem.images_believed is not None
+    known = np.isfinite(problem.values)
+    total = outlier_nats(problem.believed[known], TURN)
+    for one, share in zip(problem.sightings, problem.images_believed, strict=True):
+        seen = np.isfinite(one.values).all(axis=1)
+        total += outlier_nats(share[seen], _span(one.values[seen], one.var[seen]))
+    return total
+
+
+def _span(values: Array, var: Array) -> Array:
+    """Within what (D,) images may lie."""
+    return np.asarray(np.ptp(values, axis=0) + 10.0 * np.sqrt(np.median(var, axis=0)))
+
+
+def _is_of_counts(noise: Noise, encoders: Encoders) -> bool:
+    """Whether what lasts is no more than whole counts make, which white noise has already."""
+    joints = noise.joints
     counts = np.array([resolved(column[np.isfinite(column)]) for column in encoders.values.T])
-    if found.gains or joints.error is None:
-        return False
-    return bool((np.square(joints.error) < MOST_COUNTS * counts)[joints.learned].all())
+    return joints.error is not None and bool((np.square(joints.error) < MOST_COUNTS * counts)[joints.learned].all())
 
 
 def _posed(problem: Problem, encoders: Encoders, sightings: tuple[Sighting, ...], knots: Array) -> FactorProblem:
@@ -226,7 +259,7 @@ def _with_shares(fine: FactorProblem, solution: Solution, noise: Noise, rough: b
         rest, spread = left_out(residual, weighed, own[known, j][:, None, None])
         # what the others predict, and this one's own noise if it is sound
         spread = spread - weighed + var
-        share[known, j] = believed(rest, np.maximum(spread, var), np.array([2.0 * np.pi]))
+        share[known, j] = believed(rest, np.maximum(spread, var), TURN)
     shares: list[Array] = []
     for images, linear in zip(solution.linear.problem.images, solution.linear.rows, strict=True):
         scale = noise.scales[len(shares)]
@@ -246,7 +279,7 @@ def _image_shares(images: Images, rows: ImageRows, beliefs: Marginals, scale: fl
         square = np.einsum("fd,fd->f", rest, np.linalg.solve(spread, rest[..., None])[..., 0])
         usual = MEDIAN_SQUARE[min(mean.shape[1], len(MEDIAN_SQUARE)) - 1]
         spread = spread * max(1.0, float(np.median(square)) / usual)
-    span = np.ptp(images.values, axis=0) + 10.0 * np.sqrt(np.median(rows.var, axis=0))
+    span = _span(images.values, rows.var)
     share = np.ones(len(images.sighting.t))
     share[images.frames] = believed(rest, spread, span)
     return share

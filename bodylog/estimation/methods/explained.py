@@ -10,7 +10,8 @@ from ...body_model import BodyModel
 from ...settings import Estimation
 from ...types import HARDWARE_ERRORS, Estimate, Finding
 from ..factors.columns import Play, RowTime
-from ..factors.whole_log import ExplainedLog, explain_log
+from ..factors.whole_log import ExplainedLog, Instants, explain_log, solve_log
+from ..faults.threshold import NATS
 from ..inference.problem import Problem
 from ..noise.lasting_error import FrameBelief, residuals_last
 from . import results
@@ -21,42 +22,66 @@ EVIDENT_SIGMAS = 3.0
 
 
 def explained_estimate(
-    method: str, body: BodyModel, problem: Problem, beliefs: Beliefs, settings: Estimation
+    method: str, body: BodyModel, problem: Problem, first: Problem, beliefs: Beliefs, settings: Estimation
 ) -> Estimate:
-    """The estimate of these beliefs, or of those that allow for errors of the hardware where they explain the log."""
-    beliefs, findings, told = explain_by_hardware(problem, beliefs, settings)
-    found = results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
-    return replace(found, settings={**found.settings, **told}, findings=(*found.findings, *findings))
+    """The estimate of these beliefs, or of those that allow for errors of the hardware where they explain the log.
 
-
-def explain_by_hardware(
-    problem: Problem, beliefs: Beliefs, settings: Estimation
-) -> tuple[Beliefs, tuple[Finding, ...], Mapping[str, Any]]:
-    """Beliefs, remarks and settings where errors of the hardware explain the log better; else beliefs as they are."""
-    unchanged: tuple[Beliefs, tuple[Finding, ...], Mapping[str, Any]] = (beliefs, (), {})
-    if settings.precision != "auto" or settings.typed or problem.stepwise or not _may_last(problem, beliefs):
-        return unchanged
-    causal = settings.method != "smoother"
-    found = explain_log(problem, causal)
+    first: the problem before encoder offsets were looked for. Offsets that other errors of the hardware explain, too,
+    are no faults.
+    """
+    kept = results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
+    if settings.precision != "auto" or settings.typed or problem.stepwise:
+        return kept
+    offsets = has_offsets(problem, first)
+    if not offsets and not _may_last(problem, beliefs):
+        return kept
+    found = explain_log(problem)
     if found is None:
-        return unchanged
-    instants = found.instants
+        return kept
+    if offsets:
+        without = _without_offsets(problem, first)
+        simpler = explain_log(without)
+        if simpler is not None and not simpler.explanation.is_sound and simpler.nats - found.nats <= NATS:
+            problem, found, beliefs = without, simpler, replace(beliefs, faults=())
+    if found.explanation.is_sound:
+        return kept
+    explained = _with_explanation(problem, beliefs, found, settings.method != "smoother")
+    made = results.estimate(method, body, problem.evidence, problem.timeline, explained)
+    told = _describe(found, problem.evidence.joints)
+    text = "; ".join(_sentences(told)) or "encoders: errors last"
+    finding = Finding("warning", f'{text}: angles allow for it; see "What real arms do" in docs/validation.md')
+    return replace(made, settings={**made.settings, HARDWARE_ERRORS: told}, findings=(*made.findings, finding))
+
+
+def has_offsets(problem: Problem, first: Problem) -> bool:
+    """Whether encoder offsets were found since the first problem."""
+    return problem.evidence.faults != first.evidence.faults or bool(problem.alternatives)
+
+
+def _without_offsets(problem: Problem, first: Problem) -> Problem:
+    """The problem without the offsets that were found, with what it was compared with."""
+    evidence = replace(first.evidence, hypotheses=problem.evidence.hypotheses)
+    precision = replace(problem.precision, drift=first.precision.drift)
+    return replace(problem, evidence=evidence, precision=precision, alternatives={})
+
+
+def _with_explanation(problem: Problem, beliefs: Beliefs, found: ExplainedLog, causal: bool) -> Beliefs:
+    """The beliefs of an explained log."""
+    solved = solve_log(problem, found, causal)
+    instants = solved.instants
     parts = [instants.angles, instants.rates]
     if problem.precision.drift is not None:
         parts.append(instants.offsets)
     names = [one.name for one in problem.evidence.sightings]
     scale = {**beliefs.scale, **dict(zip(found.senses, found.noise.scales, strict=True))}
     places = tuple(
-        found.places.get(name, _place(problem, found, number)) for number, name in enumerate(names)
+        solved.places[name] if name in solved.places else _place(problem, instants, number)
+        for number, name in enumerate(names)
     )
-    explained = replace(
+    return replace(
         beliefs, z=np.concatenate(parts, axis=1), cov=instants.cov, nats=instants.nats, before=instants.before,
         before_cov=instants.before_cov, encoder_errors=instants.encoder_errors, scale=scale, places=places,
     )  # fmt: skip
-    told = _describe(found, problem.evidence.joints)
-    text = "; ".join(_sentences(told))
-    finding = Finding("warning", f'{text}: angles allow for it; see "What real arms do" in docs/validation.md')
-    return explained, (finding,), {HARDWARE_ERRORS: told}
 
 
 def _may_last(problem: Problem, beliefs: Beliefs) -> bool:
@@ -69,10 +94,10 @@ def _may_last(problem: Problem, beliefs: Beliefs) -> bool:
     return residuals_last(evidence.encoders, evidence.sightings, frames, problem.precision.encoder)
 
 
-def _place(problem: Problem, found: ExplainedLog, number: int) -> Place:
+def _place(problem: Problem, instants: Instants, number: int) -> Place:
     """Where a sense that shows nothing would have been."""
     at = problem.timeline.sightings[number]
-    return predicted(problem.evidence.sightings[number], found.instants.before[at], found.instants.before_cov[at])
+    return predicted(problem.evidence.sightings[number], instants.before[at], instants.before_cov[at])
 
 
 def _describe(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
         drifts(problem, solution), tuple(lost(problem, body.joints, solution)),
     )  # fmt: skip
-    return explained_estimate(settings.method, body, problem, beliefs, settings)
+    return explained_estimate(settings.method, body, problem, start_problem, beliefs, settings)
 
 
 def gathered(features: Features, body: BodyModel, settings: Estimation) -> Problem:

@@ -49,7 +49,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         precision.scale, precision.plain(), drifts(problem, smooth),
         tuple(lost(problem, body.joints, smooth)), found.places,
     )  # fmt: skip
-    return explained_estimate("smoother", body, problem, beliefs, settings)
+    return explained_estimate("smoother", body, problem, start_problem, beliefs, settings)
 
 
 def judged(problem: Problem, smooth: Smooth) -> Judged:
