@@ -138,7 +138,8 @@ def transition(joints, gap, joint):
     return move
 
 
-CASES = [(order, lasting, at_link) for order in (2, 3) for lasting, at_link in ((False, False), (True, False), (True, True))]
+ERRORS = ((False, False), (True, False), (True, True))
+CASES = [(order, *error) for order in (2, 3) for error in ERRORS]
 
 
 @pytest.mark.parametrize(("order", "lasting", "at_link"), CASES)

@@ -9,7 +9,7 @@ from ..faults.threshold import NATS
 from ..measurements.gather import camera
 from .columns import Column, Delay, Path, Play, RowTime
 from .gauss_newton import path_of, solve
-from .noise import Learned, learn_noise
+from .noise import FEWEST_READINGS, Learned, learn_noise
 from .problem import FactorProblem, Noise
 
 FIRST_STD = 1e-3
@@ -77,15 +77,22 @@ def explain(
     white = _learn(problem, noise, step_s, rounds=2)
     sides = [_learn(problem, one, step_s, white.path) for one in _lasting(white.noise)]
     lasting = _best(sides)
-    if white.nats - lasting.nats <= NATS or is_of_counts(lasting.noise):
+    if white.nats - lasting.nats <= NATS or is_of_counts(lasting.noise) or _is_short(lasting.noise, step_s):
         return Explanation(problem.columns, white, 0.0, 0.0, {})
     gains: dict[str, float] = {}
     play = tuple(Play("play", PLAY_STD, joint=j) for j in range(len(problem.start)))
+    late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _cameras(problem))
     loose = replace(problem, columns=(*problem.columns, *play))
-    loosely = _best([_learn(loose, one.noise, step_s, one.path) for one in sides])
+    # a delay that was corrected for play hides the play: both are free where they are compared
+    free = replace(problem, columns=(*loose.columns, *late))
+    loosely = _best([_learn(free, one.noise, step_s, one.path) for one in sides])
     if lasting.nats - loosely.nats > NATS:
-        gains["play"] = lasting.nats - loosely.nats
-        problem, lasting = loose, loosely
+        delayed = _learn(replace(problem, columns=(*problem.columns, *late)), lasting.noise, step_s, lasting.path)
+        gains["play"] = min(lasting.nats, delayed.nats) - loosely.nats
+    if gains.get("play", 0.0) > NATS:
+        problem, lasting = loose, _learn(loose, loosely.noise, step_s, loosely.path)
+    else:
+        gains.clear()
     rolling = replace(problem, columns=(*problem.columns, RowTime("row time", ROW_TIME_STD)))
     rolled = _learn(rolling, lasting.noise, step_s, lasting.path)
     if lasting.nats - rolled.nats > NATS:
@@ -100,13 +107,24 @@ def explain(
 
 def _delays_left(problem: FactorProblem, found: Learned, step_s: float) -> Iterator[Late]:
     """Yield the delays that cameras still have beside what explains the log."""
-    for name in dict.fromkeys(camera(one.name) for one in problem.sightings if one.name != "touch"):
+    for name in _cameras(problem):
         late = replace(problem, columns=(*problem.columns, Delay("delay", DELAY_STD, camera=name)))
         delayed = _learn(late, found.noise, step_s, found.path)
         gain = found.nats - delayed.nats
         if gain > NATS:
             std = float(np.sqrt(delayed.sizes_cov[-1, -1]))
             yield Late(name, float(delayed.sizes[-1]), std, gain)
+
+
+def _cameras(problem: FactorProblem) -> tuple[str, ...]:
+    """Names of the cameras whose images there are."""
+    return tuple(dict.fromkeys(camera(one.name) for one in problem.sightings if one.name != "touch"))
+
+
+def _is_short(noise: Noise, step_s: float) -> bool:
+    """Whether what lasts is gone within a few readings: stamps that jitter make such errors, and readings hold them."""
+    joints = noise.joints
+    return bool((joints.seconds[joints.learned] < 2.0 * FEWEST_READINGS * step_s).all())
 
 
 def _best(found: Sequence[Learned]) -> Learned:

@@ -17,6 +17,8 @@ from ..noise.lasting_error import FrameBelief, residuals_last
 from . import results
 from .results import Beliefs, Place, predicted
 
+DRIFTS_S = 5.0
+"""s: errors that last longer can imitate an encoder that drifts."""
 EVIDENT_SIGMAS = 3.0
 """Standard deviations from zero of a joint's play that is told."""
 
@@ -41,7 +43,7 @@ def explained_estimate(
     if offsets:
         without = _without_offsets(problem, first)
         simpler = explain_log(without)
-        if simpler is not None and not simpler.explanation.is_sound and simpler.nats - found.nats <= NATS:
+        if simpler is not None and _explains_offsets(simpler) and simpler.nats - found.nats <= NATS:
             problem, found, beliefs = without, simpler, replace(beliefs, faults=())
     if found.explanation.is_sound:
         return kept
@@ -56,6 +58,12 @@ def explained_estimate(
 def has_offsets(problem: Problem, first: Problem) -> bool:
     """Whether encoder offsets were found since the first problem."""
     return problem.evidence.faults != first.evidence.faults or bool(problem.alternatives)
+
+
+def _explains_offsets(found: ExplainedLog) -> bool:
+    """Whether play explains what looked like an offset: an error that lasts for long would be the offset itself."""
+    joints = found.noise.joints
+    return "play" in found.explanation.gains and bool((joints.seconds[joints.learned] < DRIFTS_S).all())
 
 
 def _without_offsets(problem: Problem, first: Problem) -> Problem:
