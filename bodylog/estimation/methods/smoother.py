@@ -22,7 +22,7 @@ from ..inference.problem import Problem
 from ..inference.scan import Keep, restart, scan
 from ..inference.silence import smoothed
 from ..inference.solution import Smooth, Solution, completed
-from . import results
+from .explained import explained_estimate
 from .filtering import drifts, gathered, kept, lost, settled, shown, tuned, with_repairs
 from .results import Beliefs
 
@@ -49,8 +49,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         precision.scale, precision.plain(), drifts(problem, smooth),
         tuple(lost(problem, body.joints, smooth)), found.places,
     )  # fmt: skip
-    made = results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
-    return results.with_lasting_error(made, problem, beliefs.z, settings)
+    return explained_estimate("smoother", body, problem, start_problem, beliefs, settings)
 
 
 def judged(problem: Problem, smooth: Smooth) -> Judged:
