@@ -149,11 +149,54 @@ def _provenance(found: Any) -> dict[str, Any]:
     if "image_sizes" in provenance and not _are_sizes(provenance["image_sizes"]):
         given = str(provenance["image_sizes"])[:200]
         raise ValueError(f"provenance.image_sizes: found {given}, possible: {{camera: [width, height]}} in px")
-    if not _are_placements(provenance.get("earlier_placements", [])):
-        given = str(provenance["earlier_placements"])[:200]
-        wanted = "a list of name, link, pose (4 × 4), place_std (3), turn_std (3), turns"
-        raise ValueError(f"provenance.earlier_placements: found {given}, possible: {wanted}")
+    if "calibration" in provenance:
+        _check_calibration(provenance["calibration"])
     return provenance
+
+
+def _check_calibration(found: Any) -> None:
+    """ValueError, naming the part, unless a value is a calibration as plain values (`placements.kept_calibration`)."""
+    placements = "a list of name, link, pose (4 × 4), place_std (3), turn_std (3), turns"
+    offsets = "a list of joint, value, std, beforehand, unit, confused"
+    parts = {
+        "cameras": (_are_placements, placements),
+        "markers": (_are_placements, placements),
+        "earlier": (_are_placements, placements),
+        "lenses": (_are_lenses, f"a list of {', '.join(_LENS)}, 2 numbers each"),
+        "zeros": (_are_offsets, offsets),
+        "scales": (_are_offsets, offsets),
+    }
+    if not isinstance(found, dict) or set(found) != set(parts):
+        raise ValueError(f"provenance.calibration: found {str(found)[:200]}, possible: {', '.join(parts)}")
+    for name, (is_sound, wanted) in parts.items():
+        if not is_sound(found[name]):
+            raise ValueError(f"provenance.calibration.{name}: found {str(found[name])[:200]}, possible: {wanted}")
+    if len(found["lenses"]) != len(found["cameras"]):
+        lenses, cameras = len(found["lenses"]), len(found["cameras"])
+        raise ValueError(f"provenance.calibration.lenses: found {lenses}, possible: one for each of {cameras} cameras")
+
+
+_LENS = ("focal", "focal_std", "centre", "centre_std", "distortion", "distortion_std")
+_OFFSET = {"joint", "value", "std", "beforehand", "unit", "confused"}
+
+
+def _are_lenses(found: Any) -> bool:
+    """Whether a value is a list of lenses as plain values."""
+    if not isinstance(found, list) or not all(isinstance(one, dict) and set(one) == set(_LENS) for one in found):
+        return False
+    pairs = [pair for one in found for pair in one.values()]
+    return all(isinstance(pair, list) and len(pair) == 2 and all(map(_is_number, pair)) for pair in pairs)
+
+
+def _are_offsets(found: Any) -> bool:
+    """Whether a value is a list of joints' zeros or scales as plain values."""
+    if not isinstance(found, list) or not all(isinstance(one, dict) and set(one) == _OFFSET for one in found):
+        return False
+    numbers = [one[name] for one in found for name in ("value", "std", "beforehand")]
+    texts = [one[name] for one in found for name in ("joint", "unit")]
+    lists = [one["confused"] for one in found]
+    sound = all(map(_is_number, numbers)) and all(isinstance(text, str) for text in texts)
+    return sound and all(isinstance(one, list) and all(isinstance(text, str) for text in one) for one in lists)
 
 
 def _are_placements(found: Any) -> bool:

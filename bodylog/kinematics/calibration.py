@@ -45,7 +45,9 @@ class Sighted:
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """theta (P,) of greatest posterior, its covariance (P,P) · noise px² beyond the stated · weights per sight (N,C).
+    """theta (P,) of greatest posterior, and its covariance (P,P) if all points were independent.
+
+    noise: px² beyond the stated · weights per sight (N,C).
 
     evidence: log marginal likelihood of the sightings (nats), by Laplace's approximation at theta.
     """
@@ -100,7 +102,7 @@ def refine(rig: Rig, data: Sequence[Sighted], theta: Array, rounds: int = 8) -> 
     """From near the solution, alternate θ, noise and weights of false sightings until the noise settles."""
     noise, before = _scale(rig, theta, data), np.inf
     for _ in range(rounds):
-        weigh = _mixture(noise)
+        weigh = mixture(noise)
         theta, _ = descend(rig, data, theta, weigh, noise)
         noise = _noise(rig, theta, data, weigh)
         if abs(noise - before) < 0.01 * noise:
@@ -135,7 +137,7 @@ def _arsinh(scale: float) -> Loss:
     return loss
 
 
-def _mixture(noise: float) -> Loss:
+def mixture(noise: float) -> Loss:
     """A Gaussian of one px² (times the noise) mixed with uniform false sightings: −2 ln((1 − ε) e^{−s/2} + ε')."""
     floor = _FALSE * 2.0 * np.pi * noise / _ANYWHERE**2
 
@@ -221,7 +223,7 @@ def _noise(rig: Rig, theta: Array, data: Sequence[Sighted], loss: Loss) -> float
 
 
 def _finished(rig: Rig, data: Sequence[Sighted], theta: Array, noise: float) -> Calibrated:
-    weigh = _mixture(noise)
+    weigh = mixture(noise)
     found = _normal(rig, data, theta, weigh, noise)
     std = rig.prior[1]
     scaled = found.matrix * std * std[:, None]
@@ -234,31 +236,4 @@ def _finished(rig: Rig, data: Sequence[Sighted], theta: Array, noise: float) -> 
         weights.append(np.where(seen, weigh(np.where(seen, square, 0.0))[1], 0.0))
         entropy += float(np.log(2.0 * np.pi / precision[seen]).sum())
     evidence = float(-0.5 * (found.value + entropy + np.linalg.slogdet(scaled)[1]))
-    covariance = covariance + _jackknife(rig, data, theta, noise, weights, found.matrix)
     return Calibrated(rig, theta, covariance, noise, tuple(weights), evidence)
-
-
-def _jackknife(
-    rig: Rig, data: Sequence[Sighted], theta: Array, noise: float, weights: Sequence[Array], matrix: Array
-) -> Array:
-    """Jackknife covariance (P,P) of θ over the frames of boards (one Gauss-Newton step each).
-
-    Errors of one frame's corners are correlated, through the joints and the board's print, so they hold less
-    information than their number suggests (Liang & Zeger 1986). Zero for single points.
-    """
-    std, moved = rig.prior[1], []
-    for sight, one, weight in zip(rig.sights, data, weights, strict=True):
-        if len(sight.points) == 1:
-            continue
-        seen = rig.see(sight, theta, one.q)
-        residual = np.where(weight[..., None] > 0, np.nan_to_num(one.image - seen.image), 0.0)
-        design = (seen.design * std).reshape(len(residual), -1, len(theta))
-        precision = np.where(weight[..., None] > 0, weight[..., None] / (noise + np.nan_to_num(one.variance)), 0.0)
-        scaled = design * precision.reshape(len(residual), -1, 1)
-        each = np.einsum("nkp,nkq->npq", scaled, design)
-        pull = np.einsum("nkp,nk->np", scaled, residual.reshape(len(residual), -1))
-        moved.append(np.linalg.solve(matrix * std * std[:, None] - each, pull[..., None])[..., 0] * std)
-    if not moved:
-        return np.zeros((len(theta), len(theta)))
-    steps = np.concatenate(moved)
-    return np.asarray(steps.T @ steps * (len(steps) - 1) / len(steps))

@@ -220,9 +220,12 @@ class Space:
             )
             for track in tracks
         )
-        doubt = np.array([self.doubt * (_SLIDE if self._slides(name) else 1.0) for name in self.joints])
         scales = np.full(len(self.joints) if self.scale else 0, max(self.scale, 1e-9))
-        return Rig(cameras, carriers, sights, self.joints, np.maximum(doubt, 1e-9), scales)
+        return Rig(cameras, carriers, sights, self.joints, np.maximum(self.zero_std(self.joints), 1e-9), scales)
+
+    def zero_std(self, joints: Sequence[str]) -> Array:
+        """Prior std (M,) of joints' zeros, rad or m."""
+        return np.array([self.doubt * (_SLIDE if self._slides(name) else 1.0) for name in joints])
 
     def _slides(self, name: str) -> bool:
         return name in self.robot.by_name and self.robot.by_name[name].kind == "prismatic"

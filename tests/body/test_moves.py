@@ -87,8 +87,21 @@ def test_camera_that_was_pushed_is_named_and_keeps_its_lens():
     assert (np.abs(placed.lenses[0].focal - 600.0) < 4.0 * placed.lenses[0].focal_std).all()
 
 
-def test_body_file_with_spoilt_earlier_placements_is_refused_by_name(tmp_path):
+SPOILT = {
+    "earlier": lambda _: [{"name": "board"}],
+    "cameras": lambda kept: [{**kept[0], "pose": [[1.0]]}],
+    "lenses": lambda kept: [{**kept[0], "focal": [600.0]}],
+    "zeros": lambda kept: [{**kept[0], "std": "wide"}],
+}
+
+
+def test_body_file_with_a_spoilt_calibration_is_refused_by_name(tmp_path):
     found = fitted([features(robots.angles(IMAGES), 1)]).model
-    spoilt = replace(found, provenance={**found.provenance, "earlier_placements": [{"name": "board"}]})
-    with pytest.raises(ModelError, match=r"provenance\.earlier_placements"):
-        files.save(spoilt, tmp_path / "body.npz")
+    kept = found.provenance["calibration"]
+    for part, spoil in SPOILT.items():
+        spoilt = {**found.provenance, "calibration": {**kept, part: spoil(kept[part])}}
+        with pytest.raises(ModelError, match=rf"provenance\.calibration\.{part}"):
+            files.save(replace(found, provenance=spoilt), tmp_path / "body.npz")
+    without = {name: value for name, value in found.provenance.items() if name != "calibration"}
+    with pytest.raises(ModelError, match="earlier version, which kept no calibration"):
+        calibration(replace(found, provenance=without))

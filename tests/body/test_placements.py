@@ -14,7 +14,7 @@ from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import between
 from bodylog.kinematics.rotations import inverse, logarithm
 from bodylog.settings import Settings
-from tests.body.test_boards import features
+from tests.body.test_boards import features, image
 from tests.body.test_kinematic import OFFSETS, given
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM
@@ -43,24 +43,27 @@ def test_camera_and_board_are_where_they_are(learned):
     assert (np.abs(lens.focal - 600.0) < 4.0 * lens.focal_std).all() and (lens.focal_std < 10.0).all()
 
 
-def test_poses_are_those_of_the_zeros_as_printed(learned):
-    """The printed set predicts the sightings: the means of θ and of the set differ by what no image shows."""
+def test_printed_set_foretells_by_itself_better_than_what_needs_the_process_beside_it(learned):
+    """Camera, lens, board and zeros as printed, those not identifiable at 0, on images that were not learned from."""
     found = calibrated(learned)
     sense = next(iter(learned.senses.values()))
     rig = sense.rig
     theta = sense.theta.copy()
-    camera, board = found.cameras[0].pose, found.markers[0].pose
+    camera, board, lens = found.cameras[0].pose, found.markers[0].pose, found.lenses[0]
     for part, pose, anchor in (
         (rig.of_camera(0), inverse(camera), rig.cameras[0].anchor), (rig.of_carrier(0), board, rig.carriers[0].anchor),
     ):  # fmt: skip
         step = pose @ inverse(anchor)
         theta[part][:6] = np.concatenate([step[:3, 3], logarithm(step[:3, :3])])
+    ratio = np.log(lens.focal[1] / lens.focal[0])
+    theta[rig.of_lens(0)] = [np.log(lens.focal[0]), ratio, *lens.centre, *lens.distortion]
     theta[rig.of_joints] = [one.value if one.identifiable else 0.0 for one in found.zeros]
     q = robots.angles(50, seed=5)
-    images = [rig.see(rig.sights[0], at, q).image for at in (theta, sense.theta)]
-    assert np.sqrt(np.mean((images[0] - images[1]) ** 2)) < 0.05
-    moved = np.abs(theta - sense.theta)[rig.of_joints]
-    assert moved.max() > 1e-6  # they are not the same θ
+    point = rig.sights[0].points
+    number = int(np.argmin(np.abs(robots.board().sights[0].points - point).sum(axis=1)))
+    true = image(q)[:, number]
+    errors = [np.sqrt(np.mean((rig.see(rig.sights[0], at, q).image[:, 0] - true) ** 2)) for at in (theta, sense.theta)]
+    assert errors[0] < 0.8 * errors[1]
 
 
 def test_calibration_is_printed_and_written(learned, tmp_path, run_cli, capsys):

@@ -7,7 +7,6 @@ import numpy as np
 
 from ...body_model import WITHOUT_URDF
 from ...errors import ModelError
-from ...kinematics import identifiability
 from ...kinematics.links import CameraHint, Found, Track, find
 from ...kinematics.robot import Robot, implausible
 from ...runtime.blas_threads import one_thread
@@ -18,11 +17,12 @@ from .. import exploration_report
 from ..gp.model import GP
 from ..learning import Learned
 from ..senses import encoder_function
+from .adjusting import Resting, Surroundings, adjust_calibration, recorded_logs
 from .lengths import stretched
 from .model import KinematicGP
 from .move_findings import move_findings
 from .moves import Move, find_moves
-from .placements import EARLIER, earlier_placements
+from .placements import KEPT, kept_calibration
 from .residuals import RESIDUAL, Together, models, residual, together
 from .scores import findings, gain, scores, zeros
 from .sightings import Sightings, gathered
@@ -80,7 +80,8 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
         parts = {name: part for name, part in parts.items() if name not in foreign}
     if whys:
         return unused(found, next(iter(whys.values())))
-    return learned(_without(found, left_out), links, parts, tracks, settings.fit.seed, moves)
+    beside = Surroundings(recorded_logs(features), Resting(robot, held, given.doubt))
+    return learned(_without(found, left_out), links, parts, tracks, settings.fit.seed, beside, moves)
 
 
 def _linked_by_one_log(
@@ -147,7 +148,7 @@ def unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple[
 
 def learned(
     found: Learned, links: Found, shown: Mapping[str, Sightings], plain: Mapping[str, GP], seed: int,
-    moves: Sequence[Move] = (),
+    beside: Surroundings, moves: Sequence[Move] = (),
 ) -> Learned:  # fmt: skip
     """Learn the residuals with calibrated links; return the body unchanged, with a remark, if they do not fit.
 
@@ -167,18 +168,16 @@ def learned(
     if gains[worst] < 0.0:
         return unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")
     covariance = rig.prior[1] * (both.root @ both.root.T) * rig.prior[1][:, None]
-    zeroed = identifiability.offsets(rig, both.theta, covariance)
-    offsets = (*zeroed, *identifiability.scales(rig, both.theta, covariance))
+    calibration, adjusted = adjust_calibration(links, shown, beside, both.theta, covariance)
+    offsets = (*calibration.zeros, *calibration.scales)
     senses = {name: models(rig, k, both, name) for k, name in enumerate(both.parts)}
     all_scores = [*(s for name, of in senses.items() for s in scores(name, of, both.parts[name])), *zeros(offsets)]
     found = _apart(found, {track for one in shown.values() if len(one.points) > 1 for track in one.tracks})
     found = _with(found, senses, both)
     centres = [one.points.mean(axis=0) for one in shown.values()]
-    movements = [*move_findings(rig, both.theta, covariance, moves, centres)]
-    earlier = earlier_placements(rig, both.theta, covariance, offsets)
-    if earlier:
-        provenance = {**found.model.provenance, EARLIER: [one.plain for one in earlier]}
-        found = replace(found, model=replace(found.model, provenance=provenance))
+    movements = [*move_findings(adjusted.rig, adjusted.theta, adjusted.covariance, moves, centres)]
+    provenance = {**found.model.provenance, KEPT: kept_calibration(calibration)}
+    found = replace(found, model=replace(found.model, provenance=provenance))
     observed = {track: model for of in senses.values() for track, model in of.items()}
     reported = exploration_report.scores(found.joints, observed, found.model.noise)
     kept = {score.name: score for score in (*found.scores, *reported, *all_scores)}

@@ -3,24 +3,18 @@
 from typing import Any
 
 from ...body_model import BodyModel
-from ...kinematics.identifiability import Offset, offsets, scales
-from .model import KinematicGP, kinematic_senses
+from ...kinematics.identifiability import Offset
+from .placements import calibration
 
 
 def learned(model: BodyModel) -> tuple[Offset, ...]:
     """Each joint's zero, which all tracks share. ModelError without a URDF's chain."""
-    first = _first(model)
-    return offsets(first.rig, first.theta, first.root @ first.root.T)
+    return calibration(model).zeros
 
 
 def scaled(model: BodyModel) -> tuple[Offset, ...]:
     """Each joint's scale; empty where scales are fixed. ModelError without a URDF's chain."""
-    first = _first(model)
-    return scales(first.rig, first.theta, first.root @ first.root.T)
-
-
-def _first(model: BodyModel) -> KinematicGP:
-    return next(iter(kinematic_senses(model, "joint offsets").values()))
+    return calibration(model).scales
 
 
 def plain(found: "tuple[Offset, ...]") -> dict[str, dict[str, Any]]:

@@ -1,13 +1,15 @@
 """Where a body learned with a URDF has its cameras and markers, their lenses, and the joints' zeros and scales."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ...body_model import BodyModel, Surface
+from ...errors import ModelError
 from ...kinematics import identifiability
+from ...kinematics.adjustment import Adjusted
 from ...kinematics.identifiability import Offset
 from ...kinematics.rig import Rig
 from ...kinematics.rotations import inverse, logarithm
@@ -21,8 +23,9 @@ WORST_TURN_RAD = float(np.radians(10.0))
 """Largest std of an orientation that is identifiable."""
 IMAGE_SIZES = "image_sizes"
 """In the provenance: {camera: [width, height]} px."""
-EARLIER = "earlier_placements"
-"""In the provenance: the placements before cameras and markers moved between logs, as Placement.plain."""
+KEPT = "calibration"
+"""In the provenance: the calibration, as `kept_calibration` makes it plain."""
+LENS_PARTS = ("focal", "focal_std", "centre", "centre_std", "distortion", "distortion_std")
 _STEP = 1e-6
 _POSE = 6
 """Unknowns of a camera's pose; its lens follows."""
@@ -109,56 +112,93 @@ CALIBRATION = "a calibration"
 
 
 def calibration(model: BodyModel) -> Calibration:
-    """The calibration of a body; ModelError where it was learned without a URDF."""
+    """The calibration of a body; ModelError where it was learned without a URDF, or before calibrations were kept."""
     if model.surface is not None:
         return _of_surface(model.surface)
-    senses = list(kinematic_senses(model, CALIBRATION).values())
-    first = senses[0]
-    covariance = first.root @ first.root.T
-    every_zero = identifiability.offsets(first.rig, first.theta, covariance)
-    zeros = tuple(one for one in every_zero if one.beforehand > identifiability.GIVEN)
-    scales = identifiability.scales(first.rig, first.theta, covariance)
-    cameras, lenses, markers = dict[str, Placement](), dict[str, Lens](), dict[str, Placement]()
-    for sense in senses:
-        rig = sense.rig
-        camera, marker = rig.cameras[0].name, rig.carriers[0].name
-        if camera in cameras and marker in markers:
-            continue
-        theta, spread = _given_zeros(rig, sense.theta, sense.root @ sense.root.T, (*every_zero, *scales))
-        cameras.setdefault(camera, _camera(rig, theta, spread))
-        lenses.setdefault(camera, _lens(rig, theta, spread))
-        markers.setdefault(marker, _marker(rig, theta, spread))
-    unmeasured = [_without_row_time(one) for one in cameras.values()]
-    findings = [*unmeasured, *_findings(tuple(cameras.values()), tuple(markers.values()), (*zeros, *scales))]
+    kinematic_senses(model, CALIBRATION)
+    kept = model.provenance.get(KEPT)
+    if kept is None:
+        todo = "learn it again; type: bodylog fit LOG --urdf ROBOT.urdf"
+        raise ModelError(f"learned by an earlier version, which kept no calibration: {todo}")
+    zeros, scales = (tuple(_offset_from(one) for one in kept[part]) for part in ("zeros", "scales"))
+    cameras, markers, earlier = (
+        tuple(placement_from(one) for one in kept[part]) for part in ("cameras", "markers", "earlier")
+    )
+    lenses = tuple(_lens_from(one) for one in kept["lenses"])
+    findings = [*map(_without_row_time, cameras), *_findings(cameras, markers, (*zeros, *scales))]
     if not zeros:
-        findings.append(_without_zeros(first.rig.joints))
+        findings.append(_without_zeros(model.joints))
+    sizes = {name: (int(size[0]), int(size[1])) for name, size in model.provenance.get(IMAGE_SIZES, {}).items()}
+    return Calibration(cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier)
+
+
+def calibration_of(found: Adjusted) -> Calibration:
+    """The calibration of an adjustment; poses and lenses hold with the zeros as given."""
+    known = (
+        *identifiability.offsets(found.rig, found.theta, found.covariance),
+        *identifiability.scales(found.rig, found.theta, found.covariance),
+    )
+    whole, spread = _given_zeros(found.rig, found.theta, found.covariance, known, found.curvature)
+    given = replace(found, theta=whole, covariance=spread)
+    cameras, lenses, markers = dict[str, Placement](), dict[str, Lens](), dict[str, Placement]()
+    for k in range(len(given.rig.sights)):
+        rig, used = given.rig.alone(k)
+        camera, marker = rig.cameras[0].name, rig.carriers[0].name
+        theta, covariance = given.theta[used], given.covariance[np.ix_(used, used)]
+        cameras.setdefault(camera, _camera(rig, theta, covariance))
+        lenses.setdefault(camera, _lens(rig, theta, covariance))
+        markers.setdefault(marker, _marker(rig, theta, covariance))
+    estimated = [one for one in known if one.beforehand > identifiability.GIVEN]
     return Calibration(
         tuple(cameras.values()),
         tuple(lenses.values()),
         tuple(markers.values()),
-        zeros,
-        scales,
-        tuple(findings),
-        {name: (int(size[0]), int(size[1])) for name, size in model.provenance.get(IMAGE_SIZES, {}).items()},
-        tuple(placement_from(plain) for plain in model.provenance.get(EARLIER, ())),
+        tuple(one for one in estimated if one.noun == "zero"),
+        tuple(one for one in estimated if one.noun == "scale"),
+        (),
+        {},
+        tuple(_earlier_placements(given)),
     )
 
 
-def earlier_placements(rig: Rig, theta: Array, covariance: Array, known: Sequence[Offset]) -> list[Placement]:
-    """Where cameras and markers were before they moved between logs; known: zeros and scales, as for `_given_zeros`."""
-    found = dict[tuple[bool, int], Placement]()
+def kept_calibration(found: Calibration) -> dict[str, Any]:
+    """A calibration as plain values for a body's provenance; `calibration` reads them."""
+    return {
+        "cameras": [one.plain for one in found.cameras],
+        "lenses": [{name: getattr(one, name).tolist() for name in LENS_PARTS} for one in found.lenses],
+        "markers": [one.plain for one in found.markers],
+        "zeros": [asdict(one) | {"confused": list(one.confused)} for one in found.zeros],
+        "scales": [asdict(one) | {"confused": list(one.confused)} for one in found.scales],
+        "earlier": [one.plain for one in found.earlier],
+    }
+
+
+def _offset_from(plain: Mapping[str, Any]) -> Offset:
+    return Offset(**{**plain, "confused": tuple(plain["confused"])})
+
+
+def _lens_from(plain: Mapping[str, Any]) -> Lens:
+    focal, focal_std, centre, centre_std, distortion, distortion_std = (
+        np.array(plain[name], float) for name in LENS_PARTS
+    )
+    return Lens(focal, focal_std, centre, centre_std, distortion, distortion_std)
+
+
+def _earlier_placements(given: Adjusted) -> Iterator[Placement]:
+    """Where cameras and markers were before they moved between logs."""
+    rig, told = given.rig, set[tuple[bool, int]]()
     for k, sight in enumerate(rig.sights):
         for log, pair in enumerate(sight.by_log):
             for camera, index, now in ((True, pair[0], sight.camera), (False, pair[1], sight.carrier)):
-                if index == now or (camera, index) in found:
+                if index == now or (camera, index) in told:
                     continue
+                told.add((camera, index))
                 sub, used = rig.alone(k, log)
-                given, spread = _given_zeros(sub, theta[used], covariance[np.ix_(used, used)], known)
-                placed = _camera(sub, given, spread) if camera else _marker(sub, given, spread)
+                theta, spread = given.theta[used], given.covariance[np.ix_(used, used)]
+                placed = _camera(sub, theta, spread) if camera else _marker(sub, theta, spread)
                 logs = [number + 1 for number, other in enumerate(sight.by_log) if other[not camera] == index]
                 when = f"log {logs[0]}" if len(logs) == 1 else f"logs {logs[0]} to {logs[-1]}"
-                found[camera, index] = replace(placed, name=f"{placed.name} in {when}")
-    return list(found.values())
+                yield replace(placed, name=f"{placed.name} in {when}")
 
 
 def _of_surface(surface: Surface) -> Calibration:
@@ -193,19 +233,23 @@ def _without_zeros(joints: tuple[str, ...]) -> Finding:
     return Finding("info", f"poses of {frame} alone do not tell the joints' zeros; learn from joints with --urdf")
 
 
-def _given_zeros(rig: Rig, theta: Array, covariance: Array, known: Sequence[Offset]) -> tuple[Array, Array]:
+def _given_zeros(
+    rig: Rig, theta: Array, covariance: Array, known: Sequence[Offset], curvature: Array | None = None
+) -> tuple[Array, Array]:
     """θ (P,) with the zeros and scales as given, and its covariance (P,P) with those not identifiable held at 0.
 
-    A camera's turn that a joint's zero imitates has no meaning until that zero is agreed upon.
+    A camera's turn that a joint's zero imitates has no meaning until that zero is agreed upon. curvature (P,P): the
+    loss's inverse second derivative, along which the rest of θ follows; the covariance without it.
     """
     std = rig.prior[1]
-    scaled = covariance / std / std[:, None]
     rows = np.arange(rig.of_joints.start, rig.of_scales.stop)
     given = np.array([one.value if one.identifiable else 0.0 for one in known])
-    step = np.linalg.lstsq(scaled[np.ix_(rows, rows)], (given - theta[rows]) / std[rows], rcond=None)[0]
+    along = (covariance if curvature is None else curvature) / std / std[:, None]
+    step = np.linalg.lstsq(along[np.ix_(rows, rows)], (given - theta[rows]) / std[rows], rcond=None)[0]
+    scaled = covariance / std / std[:, None]
     held = rows[[not one.identifiable for one in known]]
     gain = np.linalg.lstsq(scaled[np.ix_(held, held)], scaled[held], rcond=None)[0]
-    return theta + std * (scaled[:, rows] @ step), (scaled - scaled[:, held] @ gain) * std * std[:, None]
+    return theta + std * (along[:, rows] @ step), (scaled - scaled[:, held] @ gain) * std * std[:, None]
 
 
 def _camera(rig: Rig, theta: Array, covariance: Array) -> Placement:

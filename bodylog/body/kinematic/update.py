@@ -17,6 +17,7 @@ from ..data.subsampling import farthest
 from ..gp.model import GP
 from ..learning import Learned
 from . import learn as kinematic
+from .adjusting import Surroundings, recorded_logs
 from .model import KinematicGP
 from .sightings import Sightings
 
@@ -50,7 +51,8 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, upda
     if why is not None:
         return kinematic.unused(found, why, "learn a new body where the camera was moved")
     plain = {name: gp for name, gp in found.model.senses.items() if isinstance(gp, GP)}
-    learned = kinematic.learned(found, links, parts, plain, settings.fit.seed)
+    beside = Surroundings(recorded_logs(features))
+    learned = kinematic.learned(found, links, parts, plain, settings.fit.seed, beside)
     model = _based(learned.model, known)
     # a few points stand for all of a board
     apart = {track for one in features for tracks, _ in one.boards.values() for track in tracks} | set(found.poor)

@@ -1,0 +1,262 @@
+"""The unknowns that foretell images best by themselves, within the error bars of what is known of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Array
+from .calibration import Sighted, mixture
+from .rig import Rig, Sight
+
+JOINT_ERROR_STD = 1e-4
+"""rad or m: how far a joint may be from its reading at one posture, beyond its zero.
+
+An arm's usual repeatability of 0.1 mm at a reach of 1 m. All corners of an image err with the arm: without this error
+they would count as so many independent ones.
+"""
+_ROUNDS = 6
+_STEPS = 30
+_HALVINGS = 8
+_SETTLED = 1e-3
+"""Posterior standard deviations of the step that ends a descent."""
+_SETTLED_NOISE = 0.01
+_LEAST_NOISE = 1e-6
+MOST_SIGMA = 2.0
+"""Standard deviations by which an unknown may be away from what is known of it."""
+_WEIGHTS = (-12.0, 12.0)
+"""Logarithms of the least and the largest weight of what is known."""
+_BISECTIONS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """Sightings of one sight: variance (N,M), rad² or m², of their angles · log (N,) of each image.
+
+    group (N,): images whose errors are correlated, over all sights: those of one posture, or of a stretch of a log.
+    """
+
+    sighted: Sighted
+    variance: Array
+    log: Array
+    group: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """theta (P,) of least error, and its covariance (P,P) · curvature (P,P): the loss's inverse second derivative."""
+
+    rig: Rig
+    theta: Array
+    covariance: Array
+    curvature: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of some unknowns, in rows (K,) of θ: mean (K,) and covariance (K,K)."""
+
+    rows: Array
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Prior:
+    """mean (P,) · precision (P,P) in prior deviations."""
+
+    mean: Array
+    precision: Array
+
+
+def adjust(rig: Rig, data: Sequence[Posed], theta: Array, noise: float, known: Known) -> Adjusted:
+    """Adjust θ from near the solution: the least error by θ alone within the error bars of what is known.
+
+    noise: first value of the variance (px², per axis) of a point. A process of residuals beside θ takes up part of what
+    θ explains, so θ of such a model has not the least error by itself (Tuo & Wu 2015, "Efficient calibration for
+    imperfect computer models"); but θ of least error takes up part of what no θ explains, and is not where the camera
+    is. So θ has the least error of all that are within MOST_SIGMA of the former, `known`, whose covariance it keeps.
+    """
+    mean, std = rig.prior
+    prior = _Prior(mean, np.eye(len(std)))
+    free = _adjusted(rig, data, theta, noise, prior)
+    weight = _least_weight(free, known, std)
+    if weight > 0.0:
+        precision = np.eye(len(std))
+        pull = np.zeros(len(std))
+        inverse = weight * np.linalg.inv(known.covariance / std[known.rows] / std[known.rows, None])
+        precision[np.ix_(known.rows, known.rows)] += inverse
+        pull[known.rows] = inverse @ ((known.mean - mean[known.rows]) / std[known.rows])
+        prior = _Prior(mean + std * np.linalg.solve(precision, pull), precision)
+        free = _adjusted(rig, data, free.theta, free.noise, prior)
+    unit = std * std[:, None]
+    inverse_of_loss = np.linalg.inv(free.normal.matrix)
+    covariance = _covariance(free.normal, prior.precision, known, std)
+    return Adjusted(rig, free.theta, covariance * unit, inverse_of_loss * unit)
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """θ (P,), the normal equations there, and the variance (px²) of a point about it."""
+
+    theta: Array
+    normal: "_Normal"
+    noise: float
+
+
+def _adjusted(rig: Rig, data: Sequence[Posed], theta: Array, noise: float, prior: _Prior) -> _Solution:
+    """Generalised least squares from a start, with false sightings weighed down and the noise learned."""
+    for _ in range(_ROUNDS):
+        weights = [_weights(_squares(rig, k, theta, one), noise) for k, one in enumerate(data)]
+        theta, found = _descended(rig, data, weights, theta, noise, prior)
+        before = noise
+        noise = _noise(rig, data, weights, theta, found, prior)
+        if abs(noise - before) < _SETTLED_NOISE * before:
+            break
+    return _Solution(theta, found, noise)
+
+
+def _least_weight(free: _Solution, known: Known, std: Array) -> float:
+    """The least weight of what is known with which no unknown is farther from it than MOST_SIGMA; 0 if none is needed.
+
+    Along the quadratic loss about the free solution.
+    """
+    unit = std[known.rows]
+    inverse = np.linalg.inv(known.covariance / unit / unit[:, None])
+    precision = np.linalg.inv(np.linalg.inv(free.normal.matrix)[np.ix_(known.rows, known.rows)])
+    pull = precision @ ((free.theta[known.rows] - known.mean) / unit)
+    sigma = np.sqrt(np.diag(known.covariance)) / unit
+
+    def farthest(weight: float) -> float:
+        return float(np.max(np.abs(np.linalg.solve(precision + weight * inverse, pull)) / sigma))
+
+    if farthest(0.0) <= MOST_SIGMA:
+        return 0.0
+    low, high = _WEIGHTS
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if farthest(float(np.exp(middle))) > MOST_SIGMA else (low, middle)
+    return float(np.exp(high))
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Normal matrix (P,P) and right side (P,), in prior deviations · twice the loss · each group's share of both."""
+
+    matrix: Array
+    pull: Array
+    value: float
+    matrices: Array
+    pulls: Array
+
+
+def _descended(
+    rig: Rig, data: Sequence[Posed], weights: Sequence[Array], theta: Array, noise: float, prior: _Prior
+) -> tuple[Array, _Normal]:
+    """Gauss-Newton with halved steps, for given weights (N,C) of the points."""
+    std = rig.prior[1]
+    found = _normal(rig, data, weights, theta, noise, prior)
+    for _ in range(_STEPS):
+        step = np.linalg.solve(found.matrix, found.pull)
+        size = float(np.sqrt(step @ found.matrix @ step))
+        for _ in range(_HALVINGS):
+            after = _normal(rig, data, weights, theta + std * step, noise, prior)
+            if after.value <= found.value:
+                break
+            step = 0.5 * step
+        else:
+            break
+        theta = theta + std * step
+        found = after
+        if size < _SETTLED:
+            break
+    return theta, found
+
+
+def _normal(
+    rig: Rig, data: Sequence[Posed], weights: Sequence[Array], theta: Array, noise: float, prior: _Prior
+) -> _Normal:
+    std = rig.prior[1]
+    names, group = np.unique(np.concatenate([one.group for one in data]), return_inverse=True)
+    shares = np.zeros((len(names), len(std) + 1, len(std) + 1))
+    begin = 0
+    for sight, one, weight in zip(rig.sights, data, weights, strict=True):
+        end = begin + len(one.group)
+        np.add.at(shares, group[begin:end], _products(rig, sight, theta, one, weight, noise))
+        begin = end
+    whole = shares.sum(axis=0)
+    away = (prior.mean - theta) / std
+    value = float(whole[-1, -1] + away @ prior.precision @ away)
+    matrix = whole[:-1, :-1] + prior.precision
+    return _Normal(matrix, whole[:-1, -1] + prior.precision @ away, value, shares[:, :-1, :-1], shares[:, :-1, -1])
+
+
+def _products(rig: Rig, sight: Sight, theta: Array, one: Posed, weight: Array, noise: float) -> Array:
+    """Products (N,P+1,P+1) of design and residual of each image, weighted by the inverse of its points' covariance.
+
+    That is W⁻¹ + J V Jᵀ: the points' own, and that of the angles V through the slopes J (Woodbury's identity).
+    """
+    seen = rig.see(sight, theta, one.sighted.q, one.log)
+    images = len(one.group)
+    there = weight[..., None] > 0.0
+    precision = np.where(there, weight[..., None] / (noise + one.sighted.variance), 0.0).reshape(images, -1)
+    residual = np.where(there, one.sighted.image - seen.image, 0.0).reshape(images, -1, 1)
+    design = (seen.design * rig.prior[1]).reshape(images, residual.shape[1], -1)
+    both = np.concatenate([design, residual], axis=2)
+    slope = seen.slope.reshape(images, residual.shape[1], -1)
+    slope = slope * np.sqrt(one.variance + JOINT_ERROR_STD**2)[:, None]
+    weighted = (precision[..., None] * slope).transpose(0, 2, 1)
+    inner = np.eye(slope.shape[2]) + weighted @ slope
+    across = weighted @ both
+    own = both.transpose(0, 2, 1) @ (precision[..., None] * both)
+    return np.asarray(own - across.transpose(0, 2, 1) @ np.linalg.solve(inner, across))
+
+
+def _squares(rig: Rig, index: int, theta: Array, one: Posed) -> Array:
+    """Squared distance (N,C) px² of each point from where it is foretold; NaN where it was not seen."""
+    seen = rig.see(rig.sights[index], theta, one.sighted.q, one.log)
+    return np.asarray(np.square(one.sighted.image - seen.image).sum(axis=-1))
+
+
+def _weights(square: Array, noise: float) -> Array:
+    """How likely each point (N,C) is no false sighting; 0 where it was not seen."""
+    seen = np.isfinite(square)
+    return np.where(seen, mixture(noise)(np.where(seen, square, 0.0) / noise)[1], 0.0)
+
+
+def _noise(
+    rig: Rig, data: Sequence[Posed], weights: Sequence[Array], theta: Array, found: _Normal, prior: _Prior
+) -> float:
+    """Variance (px², per axis) of a point about θ, over the degrees of freedom that θ leaves."""
+    total, count = 0.0, 0.0
+    for k, (one, weight) in enumerate(zip(data, weights, strict=True)):
+        total += float(np.nansum(weight * _squares(rig, k, theta, one)))
+        count += 2.0 * float(weight.sum())
+    known = len(found.pull) - float(np.trace(np.linalg.solve(found.matrix, prior.precision)))
+    return max(total / max(count - known, 0.1 * count, 1.0), _LEAST_NOISE)
+
+
+def _covariance(found: _Normal, precision: Array, known: Known, std: Array) -> Array:
+    """Covariance (P,P) of θ in prior deviations: that of the known rows, and the rest about them by the jackknife."""
+    rows = known.rows
+    rest = np.setdiff1d(np.arange(len(std)), rows)
+    follow = np.zeros((len(std), len(rows)))
+    follow[rows] = np.eye(len(rows))
+    follow[rest] = -np.linalg.solve(found.matrix[np.ix_(rest, rest)], found.matrix[np.ix_(rest, rows)])
+    covariance = follow @ (known.covariance / std[rows] / std[rows, None]) @ follow.T
+    covariance[np.ix_(rest, rest)] += _jackknife(found, precision, rest)
+    return np.asarray(covariance)
+
+
+def _jackknife(found: _Normal, precision: Array, rows: Array) -> Array:
+    """Covariance of some rows (K,) of θ, the others held: how they scatter as each group is left out, and their prior.
+
+    It holds whatever the residuals' distribution and their correlation within a group (Bell & McCaffrey 2002 compare
+    such estimates; the jackknife errs to the wide side).
+    """
+    own = np.ix_(rows, rows)
+    inverse = np.linalg.inv(found.matrix[own])
+    without = found.matrix[own] - found.matrices[:, rows[:, None], rows]
+    moved = np.linalg.solve(without, found.pulls[:, rows, None])[..., 0]
+    count = len(moved)
+    return np.asarray(moved.T @ moved * (count - 1) / count + inverse @ precision[own] @ inverse)
