@@ -12,10 +12,13 @@ from ..types import Array, Score
 from ..wording import listed
 from .checks import BY_NAME, Check
 from .siblings import Outlier, find_outliers, own_std, pool
+from .views import Views, compare_views, find_moved, moved_sentences
 
 Row = dict[str, Any]
 Evidence = Mapping[str, Any]
-"""An episode's evidence (see examination.evidence)."""
+Table = Mapping[str, tuple[Array, Array, float]]
+"""An episode's evidence (see examination.evidence), and values, standard errors and resolution of
+figures."""
 UNIT_RATIO = 3.0
 """Factor between the sizes of an episode's joints and its siblings' from which their unit is
 another."""
@@ -81,15 +84,26 @@ def judge(
     """Judge the rows of a dataset's episodes; `findings`: what is wrong with the dataset's own
     files."""
     names = [row["name"] for row in rows if row["name"] in evidence]
-    odd = sorted(_outliers(names, evidence), key=lambda one: -one.z)
+    views = compare_views(names, evidence)
+    table = _compared(names, evidence)
+    looks = sum(int(np.isfinite(values).sum()) for values, _, _ in table.values())
+    looks += sum(int(np.isfinite(one.moves).sum()) for one in views.values())
+    moved = {camera: find_moved(one, looks) for camera, one in views.items()}
+    single = {camera: outliers for camera, (outliers, _) in moved.items()}
+    odd = sorted(_outliers(names, evidence, table, single, looks), key=lambda one: -one.z)
     outliers = tuple(one for one in odd if one.accused)
     told = [
         _with_outliers(row, [one for one in odd if one.episode == row["name"]]) for row in rows
     ]
     doubles = tuple(_duplicates(names, evidence))
     pooled = _pooled(names, evidence, outliers)
-    scores = tuple(_scores(rows, evidence, outliers, pooled))
-    whole = (*findings, *doubles)
+    scores = tuple(_scores(rows, evidence, outliers, pooled, views))
+    lasting = [
+        text
+        for camera, (_, step) in moved.items()
+        for text in moved_sentences(camera, step, names)
+    ]
+    whole = (*findings, *doubles, *lasting)
     differing = [one for one in odd if not one.accused]
     verdict = tuple(_verdict(rows, names, evidence, outliers, differing, pooled, whole))
     return DatasetJudgement(told, evidence, verdict, scores, outliers, whole, pooled)
@@ -101,16 +115,19 @@ def _with_outliers(row: Row, outliers: Sequence[StandsOut]) -> Row:
     return {**row, "findings": [*row["findings"], *texts], "verdict": verdict}
 
 
-def _outliers(names: Sequence[str], evidence: Mapping[str, Evidence]) -> Iterator[StandsOut]:
+def _outliers(
+    names: Sequence[str], evidence: Mapping[str, Evidence], table: Table,
+    moved: Mapping[str, Sequence[Outlier]], looks: int,
+) -> Iterator[StandsOut]:  # fmt: skip
     """Episodes that stand out, each cause once: a wrong unit or swapped joints explain all else
-    about these joints."""
-    table = _compared(names, evidence)
-    looks = sum(int(np.isfinite(values).sum()) for values, _, _ in table.values())
+    about these joints; `moved` {camera: episodes whose view stands out}."""
     found: dict[tuple[int, str], Outlier] = {}
     for figure, (values, std, resolution) in table.items():
         for one in find_outliers(values, std, resolution, looks):
             if not _is_at_stop(figure, names[one.number], names, evidence):
                 found[one.number, figure] = one
+    for camera, outliers in moved.items():
+        found |= {(one.number, f"moved/{camera}"): one for one in outliers}
     for number in sorted({number for number, _ in found}):
         own = {figure: one for (k, figure), one in found.items() if k == number}
         yield from _told(names[number], own, table)
@@ -181,16 +198,22 @@ def _span(joint: str, names: Sequence[str], evidence: Mapping[str, Evidence]) ->
     return float(np.median(spans)) if spans else 0.0
 
 
+_AGAINST_JOINTS = ("delay", "delay/action", "error/action")
+"""Figures that tell nothing where the joints' readings are wrong: they are measured against
+these."""
+_JOINT_CAUSES = ("clipped", "longest_repeat", "jumps", "still")
 _JOINT_FIGURES = ("start", "mean", "size", "longest_repeat", "clipped", "still", "error")
 
 
 def _told(
-    episode: str, own: Mapping[str, Outlier], table: Mapping[str, tuple[Array, Array, float]]
+    episode: str, own: Mapping[str, Outlier], table: Table
 ) -> Iterator[StandsOut]:
     """The causes that explain what is odd of an episode, the strongest explanations first."""
     left = dict(own)
     yield from _other_unit(episode, left, table)
     yield from _swapped(episode, left, table)
+    if len(left) < len(own) or any(_name(figure) in _JOINT_CAUSES for figure in left):
+        left = {f: one for f, one in left.items() if _name(f) not in _AGAINST_JOINTS}
     for part in sorted({figure.partition("/")[2] for figure in left}):
         group = {figure: one for figure, one in left.items() if figure.partition("/")[2] == part}
         accusing = [figure for figure in group if _accuses(figure)]
@@ -217,7 +240,7 @@ def _name(figure: str) -> str:
 
 
 def _other_unit(
-    episode: str, left: dict[str, Outlier], table: Mapping[str, tuple[Array, Array, float]]
+    episode: str, left: dict[str, Outlier], table: Table
 ) -> Iterator[StandsOut]:
     """All joints larger or smaller by one factor: another unit."""
     sizes = {figure: one for figure, one in left.items() if figure.startswith("size/")}
@@ -241,7 +264,7 @@ def _other_unit(
 
 
 def _swapped(
-    episode: str, left: dict[str, Outlier], table: Mapping[str, tuple[Array, Array, float]]
+    episode: str, left: dict[str, Outlier], table: Table
 ) -> Iterator[StandsOut]:
     """Two joints of which each has the other's usual posture."""
     for name in ("mean", "start"):
@@ -317,7 +340,7 @@ def _pooled(
 
 def _scores(
     rows: Sequence[Row], evidence: Mapping[str, Evidence], outliers: Sequence[StandsOut],
-    pooled: Mapping[str, PooledDelay],
+    pooled: Mapping[str, PooledDelay], views: Mapping[str, Views],
 ) -> Iterator[Score]:  # fmt: skip
     """Scores of the whole dataset: counts, pooled delays, and medians of shares and rates over
     episodes."""
@@ -327,6 +350,8 @@ def _scores(
         yield Score(figure, one.mean, "s", one.std)
         yield Score(f"std/{figure}", one.std, "s")
         yield Score(f"jitter/{figure}", one.jitter, "s")
+    for camera, one_view in views.items():
+        yield Score(f"moved/{camera}", float(np.nanmax(one_view.moved_px)), "px")
     for figure in _medians(evidence):
         yield Score(figure, _median(figure, evidence), BY_NAME[figure.partition("/")[0]].unit)
 

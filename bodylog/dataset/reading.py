@@ -122,7 +122,7 @@ def _films_of_episode(log: "EpisodeLog", read: Recording) -> dict[str, Film]:
     for camera in log.cameras.values():
         t = (camera.ns - read.start_ns) / 1e9
         spare = max(0.0, 0.5 * (read.duration_s - LONGEST))
-        frames = _Counted(_grey_frames(camera, t, spare, read.duration_s - spare))
+        frames = _Counted(grey_frames(camera, t, spare, read.duration_s - spare))
         seen = measure_grid_flow(frames)
         found[camera_name(camera.topic)] = Film(
             seen, None, frames.count, frames.count - _seen_count(seen)
@@ -148,7 +148,7 @@ class _Counted:
             yield frame
 
 
-def _grey_frames(camera: "Camera", t: Array, begin: float, end: float) -> Iterator[Frame]:
+def grey_frames(camera: "Camera", t: Array, begin: float, end: float) -> Iterator[Frame]:
     """The frames of a camera at t (N,) s that lie from begin to end (s), as grey images where these
     cost less."""
     read = camera.read if camera.read_grey is None else camera.read_grey
