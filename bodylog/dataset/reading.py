@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """Numbers as stored: t (N,) s since the first joint reading · values (N,K) · names (K,) · their
-    unit."""
+    """Numbers as stored, counts whose turn is known in degrees: t (N,) s since the first joint
+    reading · values (N,K) · names (K,) · their unit."""
 
     t: Array
     values: Array
@@ -196,4 +196,7 @@ def _stored(signal: "Signal", start_ns: int) -> Stored:
     from ..logs.joint_units import joint_unit
 
     known = joint_unit(signal.metadata, "rad")
-    return Stored((signal.ns - start_ns) / 1e9, signal.values, signal.names, known.read)
+    t, values, shown = (signal.ns - start_ns) / 1e9, signal.values, known.read
+    if known.read == "counts" and known.unit == "rad":
+        values, shown = np.rad2deg((values - known.zero) * known.factor), "deg"
+    return Stored(t, values, signal.names, shown)

@@ -290,9 +290,11 @@ def _refine(parts: Sequence[_Part], motion: _JointMotion, delay: float) -> tuple
     for step in FINE_STEPS_S:
         around = delay + step * np.array([-1.0, 0.0, 1.0])
         left, middle, right = (_total_evidence(parts, motion, float(x)) for x in around)
-        curvature = (2.0 * middle - left - right) / step**2
-        if curvature > 0.0:
-            delay += float(np.clip(0.5 * (right - left) / (curvature * step), -step, step))
+        bend = (2.0 * middle - left - right) / step**2
+        if bend > 0.0:
+            # the noise's table makes evidence uneven over milliseconds: the wider bend is kept then
+            curvature = bend
+            delay += float(np.clip(0.5 * (right - left) / (bend * step), -step, step))
         else:
             delay += step * (float(np.argmax([left, middle, right])) - 1.0)
     return delay, curvature

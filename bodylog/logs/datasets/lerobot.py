@@ -158,7 +158,7 @@ def _signal(name: str, known: Layout, values: Array | None, ns: Array, findings:
     topic, kind = f"/{escape(name.replace('.', '/'))}", VECTOR
     if name in (state, *_ACTIONS):
         topic, kind = (JOINTS if name == state else ACTION), JOINT_STATE
-        of = unit(about, names, values)
+        of = unit(about, names, values, str(known.info.get("robot_type")))
         metadata |= of.metadata
         findings += [Finding(*of.remark)] if name == state else []
     yield Signal(topic, kind, names, values, ns, metadata)
