@@ -23,7 +23,7 @@ LATE_S = 0.01
 SIGNIFICANT_SIGMA = 3.0
 LATENESS_S = (0.0, 0.1, 0.2, 0.3)
 """s by which images may be late: an arm that sets off is not in them yet."""
-SLOW_SHARE = 0.25
+SLOW_SHARE = 0.5
 """Share of the images that change whose joints are slower than those of a frozen image have to
 be."""
 LEAST_CHANGES = 20
@@ -46,6 +46,15 @@ def measure_delays(reading: EpisodeReading) -> Iterator[Measurement]:
         size = f"{1e3 * abs(delay.seconds):.0f} ± {1e3 * delay.std_error:.0f} ms"
         text = f"{name}: images are {size} {way} against the joints" if late else ""
         yield Measurement(name, delay.seconds, delay.std_error, text, "warning", found.shared_std_s)
+
+
+def measure_row_times(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Time (s) that a rolling shutter takes over the image, by the flow of its upper and lower
+    rows."""
+    for name, film in reading.films.items():
+        found = film.delay
+        if found is not None and found.certain and found.row_time is not None:
+            yield Measurement(name, found.row_time.seconds, found.row_time.std_error)
 
 
 def measure_repeats(reading: EpisodeReading) -> Iterator[Measurement]:

@@ -34,6 +34,8 @@ class Check:
 CHECKS: tuple[Check, ...] = (
     Check("delay", "s", camera_checks.measure_delays, 0.005,
           "it sees the past: it acts on a posture that the robot has left"),
+    Check("row_time", "s", camera_checks.measure_row_times, None,
+          "its pictures are sheared where things move fast"),
     Check("repeated", "1", camera_checks.measure_repeats, 0.05,
           "it sees each picture twice, beside joints that moved on"),
     Check("rate", "Hz", camera_checks.measure_rates, None,

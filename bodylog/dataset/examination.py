@@ -80,14 +80,18 @@ def evidence(reading: EpisodeReading, figures: Mapping[str, list[float | None]])
     figures {name: [value, standard error or null, the part of it that siblings share, the joint
     reading that it is about or null]} · joints: names, unit, low and high, t and curves of few
     points · action: the same · cameras {name: thumbnails and the view at rest (JPEG, base64), size,
-    stored_hz} ·
+    stored_hz, mean_row: place of what moves, in image heights below the middle} ·
     statistics {feature: count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
     """
     return {
         "figures": dict(sorted(figures.items())),
         "joints": None if reading.joints is None else _curves(reading.joints),
         "action": None if reading.action is None else _curves(reading.action),
-        "cameras": {name: _camera(film.seen) for name, film in reading.films.items()},
+        "cameras": {
+            name: _camera(film.seen)
+            | {"mean_row": None if film.delay is None else film.delay.mean_row}
+            for name, film in reading.films.items()
+        },
         "statistics": {name: _statistics(values) for name, values in reading.features.items()},
         "digest": _digest(reading),
         "duration_s": reading.read.duration_s,

@@ -11,7 +11,7 @@ import numpy as np
 from ..types import Array, Score
 from ..wording import listed
 from .checks import BY_NAME, Check
-from .siblings import Outlier, find_outliers, own_std, pool
+from .siblings import LEAST_EPISODES, Outlier, Pooled, find_outliers, own_std, pool
 from .views import Views, compare_views, find_moved, moved_sentences
 
 Row = dict[str, Any]
@@ -28,6 +28,9 @@ DEGREES_PER_RAD = 57.29578
 SWAP_SHARE = 0.5
 """Distance of a swapped joint from the other's siblings, over its distance from its own."""
 SIGNIFICANT_SIGMA = 2.0
+FLOW_STD_S = 0.006
+"""s: error of delays by flow that the episodes of a dataset share: in 21 cameras of drawn worlds, whose delays are
+known, pooled ones err by 6.5 ms rms, of which their own errors explain 3.2."""
 STOP_SHARE = 0.02
 """Distance from an end of what a joint reads in all episodes, over its range, within which it is at
 a stop."""
@@ -323,19 +326,35 @@ def _pooled(
     )
     found = {}
     for figure in figures:
-        known = [
-            evidence[name]["figures"][figure]
-            for name in names
-            if figure in evidence[name]["figures"] and (name, figure) not in odd
-        ]
-        told = [
-            (value, own_std(std, shared), shared) for value, std, shared, _ in known if std is not None
-        ]
+        camera = figure.partition("/")[2]
+        rolling = pooled_row_time(camera, names, evidence)
+        told = []
+        for name in names:
+            value, std, shared, _ = evidence[name]["figures"].get(figure, _UNMEASURED)
+            if std is None or (name, figure) in odd:
+                continue
+            own = own_std(std, shared)
+            method = FLOW_STD_S if shared > 0.0 and figure != "delay/action" else 0.0
+            row = evidence[name]["cameras"].get(camera, {}).get("mean_row")
+            if rolling is not None and row is not None and abs(row) * rolling.std < shared:
+                # rows above the middle are read earlier, and show joints of an earlier time
+                value, shared = value + row * rolling.mean, abs(row) * rolling.std
+            told.append((value, own, float(np.hypot(shared, method))))
         if told:
-            values, std, shared = np.array(told).T
-            one = pool(values, std)
-            found[figure] = PooledDelay(one.mean, one.std, float(shared.mean()), one.jitter)
+            values, stds, shares = np.array(told).T
+            one = pool(values, stds)
+            found[figure] = PooledDelay(one.mean, one.std, float(shares.mean()), one.jitter)
     return found
+
+
+def pooled_row_time(
+    camera: str, names: Sequence[str], evidence: Mapping[str, Evidence]
+) -> Pooled | None:
+    """The time (s) that a camera's rolling shutter takes, over episodes; None of fewer than
+    LEAST_EPISODES, of which the scatter does not tell the error."""
+    known = [evidence[name]["figures"].get(f"row_time/{camera}") for name in names]
+    told = np.array([(one[0], one[1]) for one in known if one is not None and one[1] is not None])
+    return pool(*told.T) if len(told) >= LEAST_EPISODES else None
 
 
 def _scores(
@@ -350,6 +369,9 @@ def _scores(
         yield Score(figure, one.mean, "s", one.std)
         yield Score(f"std/{figure}", one.std, "s")
         yield Score(f"jitter/{figure}", one.jitter, "s")
+        rolling = pooled_row_time(figure.partition("/")[2], list(evidence), evidence)
+        if rolling is not None:
+            yield Score(f"row_time/{figure.partition('/')[2]}", rolling.mean, "s", rolling.std)
     for camera, one_view in views.items():
         yield Score(f"moved/{camera}", float(np.nanmax(one_view.moved_px)), "px")
     for figure in _medians(evidence):
@@ -388,6 +410,10 @@ def _verdict(
     yield from _camera_sentences(evidence)
     for figure, one in pooled.items():
         yield _delay_sentence(figure, one)
+        rolling = pooled_row_time(figure.partition("/")[2], names, evidence)
+        if rolling is not None and rolling.mean > SIGNIFICANT_SIGMA * rolling.std:
+            size = f"{1e3 * rolling.mean:.0f} ± {1e3 * rolling.std:.0f} ms"
+            yield f"{figure.partition('/')[2]}: a rolling shutter takes {size} over the image"
     yield from _joint_sentences(names, evidence)
     yield from whole
 

@@ -50,7 +50,11 @@ def is_found_alone(found: DatasetJudgement, fault: drawn_sets.Fault) -> bool:
     """Whether the fault is told of its episode, or of all from it on, and nothing else."""
     if len(fault.changed) > 1 and fault.name == "moved camera":
         told = [text for text in found.findings if f"from {fault.number} on" in text]
-        return len(told) >= 1 and len(told) == len(found.findings) and not found.outliers
+        if fault.number > 1:
+            return bool(told) and told == list(found.findings) and not found.outliers
+        # of an episode before a move and seven after it, the one is the odd one
+        moved = [figure.startswith("moved/") for one in found.outliers for figure in one.figures]
+        return {one.episode for one in found.outliers} == {"0"} and all(moved)
     who = {one.episode for one in found.outliers}
     figures = [figure for one in found.outliers for figure in one.figures]
     said = any(fault.told in text for text in (*figures, *(one.text for one in found.outliers)))
