@@ -1,4 +1,4 @@
-"""Choices of `bodylog record` and `convert`, for help and completion without importing what they name."""
+"""Choices of `bodylog record`, `convert` and `fix`, for help and completion without importing what they name."""
 
 from collections.abc import Mapping
 
@@ -35,4 +35,8 @@ HARDWARE: Mapping[str, str] = {
 }
 """Errors of real joints and encoders that `record --hardware` simulates, and what their numbers mean."""
 FORMATS = ("mcap", "lerobot", "lerobot-2.1")
+REPEATS = ("mark", "drop", "keep")
+"""What `fix` does with frames that repeat the one before."""
+EXCLUDED = ("accused", "unusable")
+"""Which episodes `fix` leaves out: all that stand out, and copies, or those alone that lost something."""
 VIDEO_CODECS = ("lossless", "h264", "av1")

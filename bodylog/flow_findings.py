@@ -12,6 +12,7 @@ from .types import Array, Recording, Series
 if TYPE_CHECKING:
     from .estimation.timing.flow_delay import FlowDelay
     from .perception.surface.flow import GridFlow
+    from .perception.surface.repeats import FrameRepeats
 
 LONGEST_KNOT_S = 0.02
 """Longest distance of the times at which smoothed joints are known: well below the delays that matter."""
@@ -19,6 +20,10 @@ KNOTS_PER_INTERVAL = 4
 """Least number of these times between two images."""
 LEAST_READINGS = 8
 """Fewest readings of a joint whose motion is smoothed."""
+LEAST_REPEATS = 10
+"""Fewest repeats that tell a camera whose frames are stored twice."""
+ALTERNATING_SHARE = 0.9
+"""Share of the gaps between its repeats that have an even number of frames; the rest are slips of the recorder."""
 _SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
 
@@ -60,10 +65,41 @@ def delay_by_flow(read: Recording, seen: "GridFlow | None") -> "FlowDelay | None
 
     if read.joints is None or seen is None or len(seen.times) < 2:
         return None
+    seen = merge_slow_repeats(seen)
     interval_s = float(np.median(np.diff(seen.times, axis=1)))
     joints = smooth_joints(read.joints, min(interval_s / KNOTS_PER_INTERVAL, LONGEST_KNOT_S))
     groups = group_joints(joints.names)
     return estimate_flow_delay(joints, seen.times, seen.flow, groups, _longest_row_time(seen))
+
+
+def alternating_repeats(repeats: "FrameRepeats") -> Array:
+    """Which frames (N,) repeat the one before, those of a slow picture included.
+
+    Where the picture moves slowly, a repeat is not told from a new frame. Two repeats that an even number of frames
+    lies between say that every second frame repeats there, if nearly all repeats of the film do.
+    """
+    told = np.flatnonzero(repeats.repeated)
+    gaps = np.diff(told)
+    found = repeats.repeated.copy()
+    if len(gaps) < LEAST_REPEATS or np.mean(gaps % 2 == 0) < ALTERNATING_SHARE:
+        return found
+    for first, last in zip(told[:-1].tolist(), told[1:].tolist(), strict=True):
+        if (last - first) % 2 == 0:
+            found[first:last:2] = True
+    found[told[0] % 2 or 2 : told[0] : 2] = True
+    found[told[-1] :: 2] = True
+    return found
+
+
+def merge_slow_repeats(seen: "GridFlow") -> "GridFlow":
+    """The flow of a camera without intervals that end at a repeat: half of the motion's time would be missing."""
+    repeated = alternating_repeats(seen.repeats)
+    first = np.flatnonzero(~np.isin(seen.times[:, 0], seen.repeats.t[repeated]))
+    if not len(first) or len(first) == len(seen.times):
+        return seen
+    last = np.append(first[1:] - 1, len(seen.times) - 1)
+    times = np.column_stack([seen.times[first, 0], seen.times[last, 1]])
+    return replace(seen, times=times, flow=np.add.reduceat(seen.flow, first, axis=0))
 
 
 def _longest_row_time(seen: "GridFlow") -> float:

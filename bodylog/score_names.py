@@ -20,7 +20,7 @@ FIGURES: Mapping[str, str] = {
     "faults": "1", "fault": "", "delay": "s", "std/delay": "s",
     "repeated": "1", "rate": "Hz", "dropped": "1", "frozen": "1", "black": "1", "saturated": "1",
     "blurred": "1", "stamp_jitter": "s", "idle": "1", "duration": "s", "longest_repeat": "s",
-    "clipped": "1", "jumps": "1",
+    "clipped": "1", "jumps": "1", "moved": "px",
     "error/action": "", "jitter/delay": "s", "episodes": "1", "outliers": "1",
     "row_time": "s", "std/row_time": "s", "focal": "px", "std/focal": "px", "rmse/surface": "px",
 }  # fmt: skip

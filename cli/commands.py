@@ -21,7 +21,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
     "Learn": {"extract": "extract", "fit": "fit", "calibration": "calibration", "offsets": "calibration"},
     "Estimate": {"estimate": "estimate", "config": "config"},
     "Judge": {"evaluate": "evaluate", "compare": "compare", "report": "report", "layout": "layout"},
-    "Many logs": {"batch": "batch", "reproduce": "reproduce"},
+    "Many logs": {"batch": "batch", "fix": "fix", "reproduce": "reproduce"},
 }
 """Commands in the order of work, and the module of each."""
 

@@ -13,7 +13,8 @@ from ..io.atomic_files import replacing
 from ..io.outputs import Output, guard
 from ..io.temporary import scratch
 from ..io.values import read_json
-from . import Plan, Report, batch, exit_code, folders, jobs
+from ..settings import Settings
+from . import Group, Plan, Report, batch, exit_code, folders, jobs
 from .jobs import Row
 
 
@@ -83,6 +84,32 @@ def examine(plan: Plan, report: Report | None, page: Path | None, table: Path | 
         outputs.write_table(rows, table)
     _require_measured(plan, rows, whole)
     return Examined(tuple(rows), whole, exit_code([*rows, whole]))
+
+
+def fix_dataset(
+    dataset: Path, out: Path, settings: Settings, repeats: str, exclude: str, workers: int,
+    checked: Path | None, report: Report | None,
+) -> tuple[str, ...]:  # fmt: skip
+    """Write a corrected copy of a LeRobot folder as the new folder `out`, and return what was done
+    in sentences.
+
+    repeats, exclude: of choices.REPEATS and EXCLUDED · checked: the folder of an earlier
+    examination, whose rows are used again where input, settings and version are the same.
+    """
+    from ..dataset import corrected_files, outputs, remedies
+    from ..recording.lerobot_writer import new_folder
+
+    new_folder(out)
+    guard([dataset], [Output(out, folder=True)])
+    with scratch() as folder:
+        logs = tuple(jobs.find(str(dataset)))
+        group = Group("", logs, settings, task=jobs.EXAMINE)
+        rows_folder = folder / "rows" if checked is None else checked
+        plan = Plan((group,), rows_folder, workers, resume=checked is not None, keep_going=True)
+        rows = batch(plan, report)
+        judged = outputs.judge_dataset(rows_folder, rows)
+    base, chosen = remedies.choose_remedies(judged, settings, exclude)
+    return corrected_files.write_corrected(base, chosen, out, repeats, settings)
 
 
 def examine_without_folder(

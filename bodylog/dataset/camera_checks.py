@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..logs.datasets.checks import BLACK_GREY, SAME_GREY, long_runs, moves_between
+from ..logs.datasets.checks import BLACK_GREY, SAME_GREY, long_runs, moves_between, value_ranges
 from ..perception.surface.flow import GridFlow
 from ..types import Array
-from .reading import EpisodeReading
+from .reading import EpisodeReading, Stored
 from .records import Measurement
 
 REPEATED_SHARE = 0.05
@@ -21,6 +21,13 @@ DROPPED_INTERVALS = 1.5
 LATE_S = 0.01
 """s: shorter delays are less than a third of a frame at 30 Hz."""
 SIGNIFICANT_SIGMA = 3.0
+LATENESS_S = (0.0, 0.1, 0.2, 0.3)
+"""s by which images may be late: an arm that sets off is not in them yet."""
+SLOW_SHARE = 0.5
+"""Share of the images that change whose joints are slower than those of a frozen image have to
+be."""
+LEAST_CHANGES = 20
+"""Fewest changing images that tell how fast joints are when images change."""
 
 
 def measure_delays(reading: EpisodeReading) -> Iterator[Measurement]:
@@ -39,6 +46,15 @@ def measure_delays(reading: EpisodeReading) -> Iterator[Measurement]:
         size = f"{1e3 * abs(delay.seconds):.0f} ± {1e3 * delay.std_error:.0f} ms"
         text = f"{name}: images are {size} {way} against the joints" if late else ""
         yield Measurement(name, delay.seconds, delay.std_error, text, "warning", found.shared_std_s)
+
+
+def measure_row_times(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Time (s) that a rolling shutter takes over the image, by the flow of its upper and lower
+    rows."""
+    for name, film in reading.films.items():
+        found = film.delay
+        if found is not None and found.certain and found.row_time is not None:
+            yield Measurement(name, found.row_time.seconds, found.row_time.std_error)
 
 
 def measure_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
@@ -76,24 +92,69 @@ def measure_dropped_frames(reading: EpisodeReading) -> Iterator[Measurement]:
 
 
 def measure_frozen_images(reading: EpisodeReading) -> Iterator[Measurement]:
-    """Share of images in stretches that stay the same while joints move."""
+    """Share of images in stretches that stay the same while joints move as they do where images
+    change."""
     for name, seen in _seen(reading):
         same = np.append((seen.block_change < SAME_GREY)[1:], False) & (
             seen.brightness >= BLACK_GREY
         )
-        yield _share_of_runs(name, seen, same, reading, "frozen while joints move")
+        runs = _long_runs(seen, same)
+        if reading.joints is not None:
+            runs = _runs_with_motion(seen, runs, reading.joints)
+        yield _share_of_runs(name, seen, runs, "frozen while joints move")
+
+
+def _runs_with_motion(
+    seen: GridFlow, runs: list[tuple[int, int]], joints: Stored
+) -> list[tuple[int, int]]:
+    """Those runs of images during which joints move, however late the images may be.
+
+    Joints have to be as fast as in most of the other images that change; with few of these, to move
+    at all.
+    """
+    t = seen.repeats.t
+    speeds = np.array([_joint_steps(joints, t - late_s) for late_s in LATENESS_S])
+    changes = np.isfinite(seen.block_change) & (seen.block_change >= SAME_GREY)
+    for first, end in runs:
+        changes[first:end] = False
+    usual = 0.0
+    if changes.sum() >= LEAST_CHANGES:
+        usual = float(np.quantile(speeds[0][changes], SLOW_SHARE))
+    return [
+        (first, end)
+        for first, end in runs
+        if speeds[:, first + 1 : end].mean(axis=1).min() >= usual
+        and all(
+            moves_between(joints.values, joints.t, t[first] - late_s, t[end - 1] - late_s)
+            for late_s in LATENESS_S
+        )
+    ]
+
+
+def _joint_steps(joints: Stored, t: Array) -> Array:
+    """Sum over joints of the steps (N,) between times t (N,) s, in their ranges; 0 of the first."""
+    ranges = value_ranges(joints.values)
+    total = np.zeros(len(t))
+    for column, span in zip(joints.values.T, ranges.tolist(), strict=True):
+        finite = np.isfinite(column)
+        if span > 0.0:
+            angles = np.interp(t, joints.t[finite], column[finite])
+            total += np.abs(np.diff(angles, prepend=angles[:1])) / span
+    return total
 
 
 def measure_black_images(reading: EpisodeReading) -> Iterator[Measurement]:
     """Share of images in black stretches."""
     for name, seen in _seen(reading):
-        yield _share_of_runs(name, seen, seen.brightness < BLACK_GREY, None, "black")
+        runs = _long_runs(seen, seen.brightness < BLACK_GREY)
+        yield _share_of_runs(name, seen, runs, "black")
 
 
 def measure_saturated_images(reading: EpisodeReading) -> Iterator[Measurement]:
     """Share of images in stretches that are mostly white."""
     for name, seen in _seen(reading):
-        yield _share_of_runs(name, seen, seen.saturated > SATURATED_SHARE, None, "white")
+        runs = _long_runs(seen, seen.saturated > SATURATED_SHARE)
+        yield _share_of_runs(name, seen, runs, "white")
 
 
 def measure_blurred_images(reading: EpisodeReading) -> Iterator[Measurement]:
@@ -101,8 +162,8 @@ def measure_blurred_images(reading: EpisodeReading) -> Iterator[Measurement]:
     for name, seen in _seen(reading):
         lit = seen.brightness >= BLACK_GREY
         usual = float(np.quantile(seen.sharpness[lit], 0.75)) if lit.any() else 0.0
-        blurred = lit & (seen.sharpness < BLURRED_SHARE * usual)
-        found = _share_of_runs(name, seen, blurred, None, "blurred, or shows a plain surface,")
+        runs = _long_runs(seen, lit & (seen.sharpness < BLURRED_SHARE * usual))
+        found = _share_of_runs(name, seen, runs, "blurred, or shows a plain surface,")
         yield Measurement(name, found.value, None, found.text, "info")
 
 
@@ -136,25 +197,23 @@ def _seen(reading: EpisodeReading) -> Iterator[tuple[str, GridFlow]]:
             yield name, film.seen
 
 
+def _long_runs(seen: GridFlow, which: Array) -> list[tuple[int, int]]:
+    """Runs (first, beyond the last) of images that are long enough to report."""
+    ns = np.rint(seen.repeats.t * 1e9).astype(np.int64).tolist()
+    return list(long_runs(which, ns))
+
+
 def _share_of_runs(
-    name: str, seen: GridFlow, which: Array, reading: EpisodeReading | None, what: str
+    name: str, seen: GridFlow, runs: list[tuple[int, int]], what: str
 ) -> Measurement:
-    """Share of images in long runs; with a `reading`, of those runs alone in which its joints
-    move."""
+    """Share of a camera's images in long runs."""
     t = seen.repeats.t
-    ns = np.rint(t * 1e9).astype(np.int64).tolist()
-    runs = list(long_runs(which, ns))
-    if reading is not None and reading.joints is not None:
-        joints = reading.joints
-        runs = [
-            run for run in runs if moves_between(joints.values, joints.t, t[run[0]], t[run[1] - 1])
-        ]
     count = sum(end - first for first, end in runs)
     if not count:
         return Measurement(name, 0.0)
     first, end = max(runs, key=lambda run: run[1] - run[0])
-    if count == len(which):
+    if count == len(t):
         return Measurement(name, 1.0, None, f"{name}: {what} in all {count} images")
     longest = f"at the longest {t[first]:.2f} to {t[end - 1]:.2f} s"
-    text = f"{name}: {what} in {count} of {len(which)} images, {longest}"
-    return Measurement(name, count / len(which), None, text)
+    text = f"{name}: {what} in {count} of {len(t)} images, {longest}"
+    return Measurement(name, count / len(t), None, text)

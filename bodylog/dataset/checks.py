@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from . import action_checks, camera_checks, joint_checks
 from .reading import EpisodeReading
 from .records import Measurement
+from .views import RESOLUTION_PX
 
 
 @dataclass(frozen=True)
 class Check:
     """One check: the figure's name and unit ("joint": the joints' own), and the function that
-    measures it.
+    measures it, None of what the judgement finds between episodes.
 
     resolution: the least spread between siblings that is believed, in the unit, None where siblings
     are not compared; of a figure in the joints' unit, as a share of what the joint moves in all
@@ -23,7 +24,7 @@ class Check:
 
     name: str
     unit: str
-    measure: Callable[[EpisodeReading], Iterator[Measurement]]
+    measure: Callable[[EpisodeReading], Iterator[Measurement]] | None
     resolution: float | None
     cost: str
     public: bool = True
@@ -33,6 +34,8 @@ class Check:
 CHECKS: tuple[Check, ...] = (
     Check("delay", "s", camera_checks.measure_delays, 0.005,
           "it sees the past: it acts on a posture that the robot has left"),
+    Check("row_time", "s", camera_checks.measure_row_times, None,
+          "its pictures are sheared where things move fast"),
     Check("repeated", "1", camera_checks.measure_repeats, 0.05,
           "it sees each picture twice, beside joints that moved on"),
     Check("rate", "Hz", camera_checks.measure_rates, None,
@@ -47,6 +50,8 @@ CHECKS: tuple[Check, ...] = (
           "it learns to act on white pictures"),
     Check("blurred", "1", camera_checks.measure_blurred_images, 0.2,
           "it cannot see where things are"),
+    Check("moved", "px", None, RESOLUTION_PX,
+          "it sees every place elsewhere than in other episodes"),
     Check("sharpness", "ln grey²", camera_checks.measure_sharpness, 0.3,
           "its pictures are of another focus than in other episodes", False, False),
     Check("brightness", "grey", camera_checks.measure_brightness, 10.0,

@@ -16,6 +16,7 @@ from ..settings import Settings
 from ..types import Array, Finding, Score
 from .checks import CHECKS, figure_name
 from .reading import EpisodeReading, Stored, read_episode
+from .views import encode_view, picture_at_rest
 
 CURVE_POINTS = 60
 """Points of a joint's curve that a page draws."""
@@ -33,7 +34,7 @@ def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, d
     scores, findings = list[Score](), [one for one in reading.findings if not _says_only_roles(one)]
     figures: dict[str, list[float | None]] = {}
     for check in CHECKS:
-        for one in check.measure(reading):
+        for one in check.measure(reading) if check.measure is not None else ():
             figure = figure_name(check, one.part)
             if one.text:
                 findings.append(Finding(one.severity, f"{log}: {one.text}"))
@@ -78,14 +79,19 @@ def evidence(reading: EpisodeReading, figures: Mapping[str, list[float | None]])
 
     figures {name: [value, standard error or null, the part of it that siblings share, the joint
     reading that it is about or null]} · joints: names, unit, low and high, t and curves of few
-    points · action: the same · cameras {name: thumbnails (JPEG, base64), size, stored_hz} ·
+    points · action: the same · cameras {name: thumbnails and the view at rest (JPEG, base64), size,
+    stored_hz, mean_row: place of what moves, in image heights below the middle} ·
     statistics {feature: count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
     """
     return {
         "figures": dict(sorted(figures.items())),
         "joints": None if reading.joints is None else _curves(reading.joints),
         "action": None if reading.action is None else _curves(reading.action),
-        "cameras": {name: _camera(film.seen) for name, film in reading.films.items()},
+        "cameras": {
+            name: _camera(film.seen)
+            | {"mean_row": None if film.delay is None else film.delay.mean_row}
+            for name, film in reading.films.items()
+        },
         "statistics": {name: _statistics(values) for name, values in reading.features.items()},
         "digest": _digest(reading),
         "duration_s": reading.read.duration_s,
@@ -114,8 +120,9 @@ def _plain(values: Array) -> list[float | None]:
 
 def _camera(seen: Any) -> dict[str, Any]:
     if seen is None:
-        return {"thumbnails": [], "size": None, "stored_hz": None}
+        return {"thumbnails": [], "view": None, "size": None, "stored_hz": None}
     return {
+        "view": encode_view(picture_at_rest(seen.pictures)),
         "thumbnails": [_jpeg(picture) for picture in seen.pictures],
         "size": list(seen.size),
         "stored_hz": seen.repeats.stored_hz,

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """Numbers as stored: t (N,) s since the first joint reading · values (N,K) · names (K,) · their
-    unit."""
+    """Numbers as stored, counts whose turn is known in degrees: t (N,) s since the first joint
+    reading · values (N,K) · names (K,) · their unit."""
 
     t: Array
     values: Array
@@ -122,7 +122,7 @@ def _films_of_episode(log: "EpisodeLog", read: Recording) -> dict[str, Film]:
     for camera in log.cameras.values():
         t = (camera.ns - read.start_ns) / 1e9
         spare = max(0.0, 0.5 * (read.duration_s - LONGEST))
-        frames = _Counted(_grey_frames(camera, t, spare, read.duration_s - spare))
+        frames = _Counted(grey_frames(camera, t, spare, read.duration_s - spare))
         seen = measure_grid_flow(frames)
         found[camera_name(camera.topic)] = Film(
             seen, None, frames.count, frames.count - _seen_count(seen)
@@ -148,7 +148,7 @@ class _Counted:
             yield frame
 
 
-def _grey_frames(camera: "Camera", t: Array, begin: float, end: float) -> Iterator[Frame]:
+def grey_frames(camera: "Camera", t: Array, begin: float, end: float) -> Iterator[Frame]:
     """The frames of a camera at t (N,) s that lie from begin to end (s), as grey images where these
     cost less."""
     read = camera.read if camera.read_grey is None else camera.read_grey
@@ -196,4 +196,7 @@ def _stored(signal: "Signal", start_ns: int) -> Stored:
     from ..logs.joint_units import joint_unit
 
     known = joint_unit(signal.metadata, "rad")
-    return Stored((signal.ns - start_ns) / 1e9, signal.values, signal.names, known.read)
+    t, values, shown = (signal.ns - start_ns) / 1e9, signal.values, known.read
+    if known.read == "counts" and known.unit == "rad":
+        values, shown = np.rad2deg((values - known.zero) * known.factor), "deg"
+    return Stored(t, values, signal.names, shown)

@@ -39,6 +39,17 @@ class Outlier:
     bound: float
 
 
+@dataclass(frozen=True)
+class Step:
+    """A figure that changes for good: `first` episode (by number) after the change, its size, the
+    distance in standard deviations `z`, and the `bound` that it exceeds."""
+
+    first: int
+    size: float
+    z: float
+    bound: float
+
+
 def pool(values: Array, std: Array) -> Pooled:
     """The random-effects mean of values (N,) with standard errors (N,), by Paule & Mandel (1982).
 
@@ -104,6 +115,35 @@ def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> l
     alone = [_compare(values, std, sound, k, resolution, student, normal) for k in outliers]
     pairs = zip(removed[:count], alone, strict=True)
     return [max(pair, key=lambda one: one.z / one.bound) for pair in pairs]
+
+
+def find_step(values: Array, resolution: float, looks: int) -> Step | None:
+    """The change for good that splits values (N,) in order best; None where none is significant.
+
+    Both sides have at least two episodes, since one alone is an outlier. The spread is that of both
+    sides about their means; bounds are those of `find_outliers`, shared by all splits as well.
+    """
+    from scipy.special import ndtri, stdtrit
+
+    known = np.flatnonzero(np.isfinite(values))
+    y, count = values[known], len(known)
+    if count < LEAST_EPISODES:
+        return None
+    tail = 0.5 * FALSE_ALARMS / max(looks, 1) / (count - 3)
+    student, normal = float(-stdtrit(count - 2, tail)), float(-ndtri(tail))
+    best: Step | None = None
+    for k in range(2, count - 1):
+        before, after = y[:k], y[k:]
+        squares = np.square(before - before.mean()).sum() + np.square(after - after.mean()).sum()
+        wide = (1.0 / k + 1.0 / (count - k)) ** 0.5
+        spread, least = wide * float(np.sqrt(squares / (count - 2))), wide * resolution
+        scale = float(np.hypot(spread, least))
+        size = float(after.mean() - before.mean())
+        bound = float(np.hypot(student * spread, normal * least)) / scale
+        found = Step(int(known[k]), size, abs(size) / scale, bound)
+        if best is None or found.z / found.bound > best.z / best.bound:
+            best = found
+    return best if best is not None and best.z > best.bound else None
 
 
 def _compare(

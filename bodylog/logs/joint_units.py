@@ -5,8 +5,8 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
-UNIT, TURN = "bodylog.unit", "bodylog.turn"
-"""Metadata of a joint topic: unit (rad, deg, counts or unknown), and the number of counts in one turn."""
+UNIT, TURN, ZERO = "bodylog.unit", "bodylog.turn", "bodylog.zero"
+"""Metadata of a joint topic: unit (rad, deg, counts or unknown), the counts in one turn, and the count at 0 rad."""
 SOURCE_UNIT = "bodylog.source_unit"
 """Metadata: unit that the joints had in their dataset before conversion to rad."""
 _RAD = {"rad": 1.0, "deg": math.pi / 180.0}
@@ -24,8 +24,8 @@ def counts(unit: str) -> tuple[float, float] | None:
 class JointUnit(NamedTuple):
     """Unit of the readings · factor to convert them · unit after conversion · one turn in that unit, or None.
 
-    `zero`: the reading at 0 rad. Encoder counts and unknown units are not converted unless [body] unit gives the counts
-    per turn.
+    `zero`: the reading at 0 rad. Encoder counts and unknown units are not converted unless the topic's metadata give
+    turn and zero, or [body] unit does.
     """
 
     read: str
@@ -44,7 +44,10 @@ def joint_unit(about: Mapping[str, str], settings_unit: str) -> JointUnit:
         read = "deg"
     if read in _RAD:
         return JointUnit(read, _RAD[read], "rad", 2.0 * math.pi)
-    return JointUnit(read, 1.0, read, _number(about.get(TURN)))
+    turn, zero = _number(about.get(TURN)), _number(about.get(ZERO))
+    if read == "counts" and turn is not None and zero is not None:
+        return JointUnit(read, 2.0 * math.pi / turn, "rad", 2.0 * math.pi, zero)
+    return JointUnit(read, 1.0, read, turn)
 
 
 def _number(text: str | None) -> float | None:

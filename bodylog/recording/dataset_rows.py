@@ -11,7 +11,7 @@ from ..annotating.messages import stamps
 from ..errors import BodylogError, FormatError, LogError
 from ..logs.datasets.episode_log import DTYPE, FEATURE, JOINT_STATE, TEXT, VECTOR
 from ..logs.formats import open_log
-from ..logs.joint_units import SOURCE_UNIT, UNIT
+from ..logs.joint_units import SOURCE_UNIT, UNIT, joint_unit
 from ..logs.library import OpenLog
 from ..logs.topic_names import PREFIX
 from ..settings import Settings
@@ -154,6 +154,10 @@ def _joints(log: OpenLog, recording: Recording, about: Mapping[str, str]) -> Fea
         values, unit = own.values, about.get(UNIT, "") if topic is None else topic.metadata.get(UNIT, joints.unit)
     if unit == "rad" and about.get(SOURCE_UNIT) == "deg":
         values, unit = np.rad2deg(values), "deg"
+    elif unit == "rad" and about.get(SOURCE_UNIT) == "counts":
+        known = joint_unit({**about, UNIT: "counts"}, "rad")
+        if known.unit == "rad":
+            values, unit = np.rint(values / known.factor + known.zero), "counts"
     return Feature(values, names, ns, about.get(DTYPE, ""), unit)
 
 

@@ -62,7 +62,7 @@ def write(
     """
     for module in ("pyarrow", "av"):
         require_module(module, out)
-    out = _place(out)
+    out = new_folder(out)
     with scratch(out.parent) as folder:
         done = _Written(folder / out.name, form, codec(how), progress)
         done.folder.mkdir()
@@ -75,7 +75,7 @@ def write(
     return tuple(dict.fromkeys(findings))
 
 
-def _place(out: Path) -> Path:
+def new_folder(out: Path) -> Path:
     """The folder to make; UsageError if it exists."""
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise UsageError(f"{out}: already exists; give the name of a new folder with -o")

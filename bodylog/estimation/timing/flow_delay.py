@@ -54,7 +54,9 @@ class FlowDelay:
     """A delay by flow (s) with its σ, and the evidence for it over other delays (nats).
 
     shared_std_s: the part of σ, a rolling shutter's, that another log of the same camera has alike,
-    so that no mean over logs reduces it. `joints`: indices of the joints that explain the flow
+    so that no mean over logs reduces it. mean_row: place of the moving cells, in image heights below the middle row ·
+    row_time: time (s) that a rolling shutter takes over the image, by the delays of upper and of lower cells, where
+    these suffice. `joints`: indices of the joints that explain the flow
     best. `certain`: whether the evidence suffices; if not, the value must not be used. `edge`:
     whether it lies at the end of the searched range.
     """
@@ -64,6 +66,8 @@ class FlowDelay:
     joints: tuple[int, ...]
     edge: bool
     shared_std_s: float = 0.0
+    mean_row: float = 0.0
+    row_time: Delay | None = None
 
     @property
     def certain(self) -> bool:
@@ -95,11 +99,41 @@ def estimate_flow_delay(
     told = [scan for scan in scans if scan is not None]
     if not told:
         return None
-    scan = max(told, key=lambda scan: scan.nats)
+    scan = max(told, key=lambda one: one.nats)
     delay = _refined_delay(parts, scan)
-    row_std_s = _mean_row(flow) * row_time_s
+    row = _mean_row(flow)
+    row_std_s = abs(row) * row_time_s
     std_s = float(np.hypot(delay.std_error, row_std_s))
-    return FlowDelay(Delay(delay.seconds, std_s), scan.nats, scan.group, scan.edge, row_std_s)
+    total = Delay(delay.seconds, std_s)
+    rolling = _measure_row_time(joints, times, flow, scan, delay.seconds)
+    return FlowDelay(total, scan.nats, scan.group, scan.edge, row_std_s, row, rolling)
+
+
+def _measure_row_time(
+    joints: Series, times: Array, flow: Array, scan: "_GroupScan", seconds: float
+) -> Delay | None:
+    """Time (s) that a rolling shutter takes over the image: cells of rows that are read earlier show joints of an
+    earlier time, so that their delay is longer.
+
+    The rows are parted where either side has half of the motion. σ is by the curvature of the evidence alone.
+    """
+    share = _motion_of_rows(flow)
+    if share.sum() <= 0.0:
+        return None
+    cut = int(np.searchsorted(np.cumsum(share) / share.sum(), 0.5))
+    if not 0 < cut < len(share):
+        return None
+    delays, variances, places = [], [], []
+    for half in (slice(0, cut), slice(cut, None)):
+        parts = _split_into_parts(times, flow[:, half], joints)
+        found, curvature = _refine(parts, scan.motion, seconds)
+        if curvature <= 0.0 or abs(found - seconds) > FAR_S:
+            return None
+        delays.append(found)
+        variances.append(1.0 / curvature)
+        places.append(float(share[half] @ _row_places(len(share))[half] / share[half].sum()))
+    apart = places[1] - places[0]
+    return Delay((delays[0] - delays[1]) / apart, float(np.sqrt(sum(variances))) / apart)
 
 
 def _split_into_parts(times: Array, flow: Array, joints: Series) -> list[_Part]:
@@ -132,14 +166,24 @@ def _principal_components(flow: Array) -> Array:
     return np.asarray(centred @ leading.T)
 
 
-def _mean_row(flow: Array) -> float:
-    """Distance of the moving cells from the middle row, in image heights; half an image where nothing moves."""
+def _motion_of_rows(flow: Array) -> Array:
+    """Share (rows,) of the motion in each row of cells: the median over intervals (N,rows,columns,2)."""
     energy = (flow**2).sum(axis=(2, 3))
-    typical = np.median(energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-12), axis=0)
-    if typical.sum() <= 0.0:
+    share = energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-12)
+    return np.asarray(np.median(share, axis=0), float)
+
+
+def _row_places(count: int) -> Array:
+    """Places (count,) of the rows' middles, in image heights below the image's middle."""
+    return (np.arange(count) + 0.5) / count - 0.5
+
+
+def _mean_row(flow: Array) -> float:
+    """Place of the moving cells, in image heights below the middle row; half an image where nothing moves."""
+    share = _motion_of_rows(flow)
+    if share.sum() <= 0.0:
         return 0.5
-    rows = (np.arange(flow.shape[1]) + 0.5) / flow.shape[1] - 0.5
-    return float(np.abs(typical @ rows) / typical.sum())
+    return float(share @ _row_places(len(share)) / share.sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,9 +332,11 @@ def _refine(parts: Sequence[_Part], motion: _JointMotion, delay: float) -> tuple
     for step in FINE_STEPS_S:
         around = delay + step * np.array([-1.0, 0.0, 1.0])
         left, middle, right = (_total_evidence(parts, motion, float(x)) for x in around)
-        curvature = (2.0 * middle - left - right) / step**2
-        if curvature > 0.0:
-            delay += float(np.clip(0.5 * (right - left) / (curvature * step), -step, step))
+        bend = (2.0 * middle - left - right) / step**2
+        if bend > 0.0:
+            # the noise's table makes evidence uneven over milliseconds: the wider bend is kept then
+            curvature = bend
+            delay += float(np.clip(0.5 * (right - left) / (bend * step), -step, step))
         else:
             delay += step * (float(np.argmax([left, middle, right])) - 1.0)
     return delay, curvature

@@ -30,7 +30,7 @@ from .episode_log import (
     Signal,
     Texts,
 )  # fmt: skip
-from .lerobot_layout import Layout, layout, tasks
+from .lerobot_layout import Layout, Part, layout, tasks
 from .units import unit
 
 _STATE = ("observation.state", "observation.qpos", "observation.joint_positions", "state")
@@ -40,6 +40,10 @@ _STAMP = ".stamp_ns"
 _BOOKKEEPING = frozenset(("timestamp", "frame_index", "episode_index", "index", "task_index"))
 _NUMBERS = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "bool")
 _MOST_WIDE = 100_000
+_SPARSE = 1.5
+"""Intervals between a video's frames from which rows are further apart than these."""
+_EXACT_S = 1e-3
+"""s within which rows at a lower rate have a frame at their very time."""
 
 
 def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
@@ -96,7 +100,8 @@ def _episode(known: Layout, number: int, findings: list[Finding], limits: Input)
     for name, about in known.features.items():
         if about.get("dtype") in ("video", "image"):
             own = _stamps(stamps, name, ns)
-            streams += _camera(name, known, number, own, _shown(found.get("timestamp"), ns), where, findings, limits)
+            shown, begin_s = _shown(found.get("timestamp"), ns), _begin(found.get("timestamp"))
+            streams += _camera(name, known, number, own, shown, begin_s, where, findings, limits)
     length = known.rows[number].get("length")
     return Episode(f"lerobot {known.version}", streams, findings, length if isinstance(length, int) else None)
 
@@ -129,6 +134,12 @@ def _shown(t: Array | None, ns: Array) -> Array:
     return np.asarray((ns - ns[:1]) / 1e9)
 
 
+def _begin(t: Array | None) -> float:
+    """The first row's `timestamp`, at which LeRobot looks for its image in the video (s)."""
+    known = t is not None and t.shape[1:] == (1,) and len(t) > 0 and bool(np.isfinite(t[0, 0]))
+    return float(t[0, 0]) if known and t is not None else 0.0
+
+
 def _signal(name: str, known: Layout, values: Array | None, ns: Array, findings: list[Finding]) -> Iterator[Signal]:
     about = known.features[name]
     if values is None or not values.shape[1]:
@@ -147,7 +158,7 @@ def _signal(name: str, known: Layout, values: Array | None, ns: Array, findings:
     topic, kind = f"/{escape(name.replace('.', '/'))}", VECTOR
     if name in (state, *_ACTIONS):
         topic, kind = (JOINTS if name == state else ACTION), JOINT_STATE
-        of = unit(about, names, values)
+        of = unit(about, names, values, str(known.info.get("robot_type")))
         metadata |= of.metadata
         findings += [Finding(*of.remark)] if name == state else []
     yield Signal(topic, kind, names, values, ns, metadata)
@@ -203,8 +214,8 @@ def _tasks(known: Layout, found: Mapping[str, Array | None], ns: Array) -> Itera
 
 
 def _camera(
-    name: str, known: Layout, number: int, ns: Array, shown: Array, where: Sequence[tuple[int, int]],
-    findings: list[Finding], limits: Input,
+    name: str, known: Layout, number: int, ns: Array, shown: Array, begin_s: float,
+    where: Sequence[tuple[int, int]], findings: list[Finding], limits: Input,
 ) -> Iterator[Camera]:  # fmt: skip
     about = known.features[name]
     topic, metadata = f"/{escape(name.removeprefix('observation.images.').replace('.', '/'))}", {FEATURE: name}
@@ -224,12 +235,12 @@ def _camera(
     except InputError as problem:
         findings.append(Finding("lost", f"{name}: {problem}"))
         return
-    first, last = _within(film, part.start, part.end, known.fps)
-    t = film.t[first:last] - (film.t[first] if last > first else 0.0)
+    frames = _frames_of_rows(film, part, begin_s, shown, known.fps)
+    t = film.t[frames] - (film.t[frames[0]] if len(frames) else 0.0)
     times, more = _dated(name, t, ns, shown, known.fps)
     findings += more
-    reader: Callable[[], Iterator[Item]] = partial(_of_video, film, first, last)
-    grey: Callable[[], Iterator[Item]] = partial(_of_video, film, first, last, grey=True)
+    reader: Callable[[], Iterator[Item]] = partial(_of_video, film, frames)
+    grey: Callable[[], Iterator[Item]] = partial(_of_video, film, frames, grey=True)
     yield Camera(f"{topic}/image", times, reader, (film.width, film.height), "", metadata, grey)
 
 
@@ -242,11 +253,31 @@ def _mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _within(film: video.Video, start: float, end: float | None, fps: float) -> tuple[int, int]:
-    """The frames of an episode in a shared video: from start to before end, within half a frame."""
+def _frames_of_rows(film: video.Video, part: Part, begin_s: float, shown: Array, fps: float) -> Array:
+    """The numbers (K,) of an episode's frames in a video that may be shared, from its start to before its end.
+
+    A table whose `timestamp` begins at `begin_s`, a frame and more after 0 s, has the frames from there to its last
+    row; one with rows at a lower rate than the video's has those frames at the rows' times `shown` (N,) s.
+    """
     margin = 0.5 / fps
+    later = begin_s if begin_s > margin and part.start + begin_s < film.t[-1:].sum() else 0.0
+    start, end = part.start + later, part.end
+    if later and len(shown):
+        end = start + float(shown[-1]) + margin
+        end = end if part.end is None else min(end, part.end)
     first = int(np.searchsorted(film.t, start - margin)) if start else 0
-    return first, len(film.t) if end is None else int(np.searchsorted(film.t, end - margin))
+    last = len(film.t) if end is None else int(np.searchsorted(film.t, end - (0.0 if later else margin)))
+    frames = np.arange(first, last)
+    if len(frames) < 2 or len(shown) < 2:
+        return frames
+    interval_s = float(np.median(np.diff(film.t[first:last])))
+    if np.median(np.diff(shown)) < _SPARSE * interval_s:
+        return frames
+    wanted = film.t[first] + shown
+    nearest = first + np.searchsorted(film.t[first:last], wanted - 0.5 * interval_s)
+    nearest = np.minimum(nearest, last - 1)
+    exact = np.abs(film.t[nearest] - wanted).max() < _EXACT_S
+    return nearest if exact and (np.diff(nearest) > 0).all() else frames
 
 
 def _dated(name: str, t: Array, ns: Array, shown: Array, fps: float) -> tuple[Array, list[Finding]]:
@@ -266,6 +297,10 @@ def _of_table(table: Path, name: str, where: Sequence[tuple[int, int]], limits: 
     yield from enumerate(parquet.encoded(table, name, where, limits))
 
 
-def _of_video(film: video.Video, first: int, last: int, grey: bool = False) -> Iterator[Item]:
-    for number, image in video.images(film, first, last, grey):
-        yield number - first, image
+def _of_video(film: video.Video, frames: Array, grey: bool = False) -> Iterator[Item]:
+    if not len(frames):
+        return
+    places = {number: place for place, number in enumerate(frames.tolist())}
+    for number, image in video.images(film, int(frames[0]), int(frames[-1]) + 1, grey):
+        if number in places:
+            yield places[number], image

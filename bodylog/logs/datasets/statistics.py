@@ -1,5 +1,6 @@
 """Statistics of features and images, as LeRobot stores them: per episode, and for the whole dataset."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from ..records import Array
 
+_QUANTILE = re.compile(r"q(\d\d)")
 _SAMPLE = 8
 """px between the pixels used for an image's statistics."""
 
@@ -21,6 +23,19 @@ def of_numbers(values: Array) -> dict[str, Any]:
         "mean": np.nanmean(safe, axis=0), "std": np.nanstd(safe, axis=0),
     }  # fmt: skip
     return {name: values.tolist() for name, values in found.items()} | {"count": [len(table)]}
+
+
+def measure_like(values: Array, like: Mapping[str, Any]) -> dict[str, Any]:
+    """Statistics of numbers (N,K) with the keys of others: min, max, mean, std, count, and
+    quantiles by their names, q01 to q99; of no others, as `of_numbers`."""
+    found = of_numbers(values)
+    if not like:
+        return found
+    table = values.astype(float).reshape(len(values), -1)
+    for key in like:
+        if (match := _QUANTILE.fullmatch(key)) and np.isfinite(table).all():
+            found[key] = np.quantile(table, int(match[1]) / 100.0, axis=0).tolist()
+    return {key: found[key] for key in like if key in found}
 
 
 class Sampled:

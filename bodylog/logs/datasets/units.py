@@ -3,12 +3,12 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ..joint_units import TURN, UNIT
+from ..joint_units import TURN, UNIT, ZERO
 from ..records import Array
 
 _WORDS = {
@@ -20,21 +20,28 @@ _ENDING = re.compile(r"[._ (\[](?P<unit>[a-z]+)[)\]]?", re.IGNORECASE)
 _COUNTS = 4096
 """Counts per turn of the 12-bit encoders of Feetech STS and Dynamixel X servos: values run from 0 to 4095."""
 _ROUND = 1.05
+_SO_10X = re.compile(r"so[-_ ]?(arm)?[-_ ]?10[01]", re.IGNORECASE)
+"""Robots of LeRobot's SO-ARM100 family by their type: their servos' calibration is public."""
+_MIDDLE = 2048.0
+"""Count at 0° of an SO-10x's joint: LeRobot's calibration centres the half turn there."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """rad, deg, counts or unknown · whether the dataset declares it · one turn in that unit, None if unknown."""
+    """rad, deg, counts or unknown · whether the dataset declares it · one turn in that unit, None if unknown · the
+    reading at 0 rad, None where counts have none that is known."""
 
     name: str
     declared: bool
     turn: float | None
     why: str
+    zero: float | None = None
 
     @property
     def metadata(self) -> dict[str, str]:
         """The topic's metadata. A guess of rad adds none, as joints of any log are assumed to be in rad."""
         turn = {} if self.turn is None else {TURN: repr(self.turn)}
+        turn |= {} if self.zero is None else {ZERO: repr(self.zero)}
         return {} if self.name == "rad" and not self.declared else {UNIT: self.name, **turn}
 
     @property
@@ -44,6 +51,9 @@ class Unit:
             return "info", f"joints: rad, {self.why}"
         if self.name == "deg" and self.declared:
             return "info", f"joints: degrees, {self.why}; they are read as rad"
+        if self.zero is not None:
+            told = "4096 are a turn and 2048 is 0°, as SO-10x arms have it; they are read as angles"
+            return "info", f"joints: encoder counts, {self.why}; {told}"
         if self.name == "counts":
             advice = "they are kept as they are, so results in rad are in counts"
             return "warning", f"joints: encoder counts, {self.why}; {advice}"
@@ -51,8 +61,16 @@ class Unit:
         return "warning", f"joints: {self.why}; their unit is not declared and they are kept as they are; {advice}"
 
 
-def unit(feature: Mapping[str, Any], names: Sequence[str], values: Array) -> Unit:
-    """The unit of joints from their feature's declaration, their names, and their values (N,K)."""
+def unit(feature: Mapping[str, Any], names: Sequence[str], values: Array, robot: str = "") -> Unit:
+    """The unit of joints from their feature's declaration, their names, and their values (N,K); of counts of a
+    `robot` whose calibration is public, their zero as well."""
+    found = _declared(feature, names, values)
+    if found.name == "counts" and found.turn == _COUNTS and _SO_10X.search(robot):
+        return replace(found, zero=_MIDDLE)
+    return found
+
+
+def _declared(feature: Mapping[str, Any], names: Sequence[str], values: Array) -> Unit:
     for key in ("unit", "units"):
         if isinstance(declared := feature.get(key), str) and (known := _WORDS.get(declared.strip().lower())):
             return Unit(known, True, _turn(known, values), f"as the dataset declares ({key}: {declared})")

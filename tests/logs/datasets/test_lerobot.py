@@ -308,7 +308,7 @@ def test_open_reads_a_real_dataset(tmp_path):
     if not REAL.is_dir():
         pytest.skip("the real SO-101 dataset (../shared/real/so101) is not at hand")
     found = facts.info(REAL, Settings())
-    assert found["format"] == "lerobot v2.1" and found["unit"] == "counts" and len(found["joints"]) == 12
+    assert found["format"] == "lerobot v2.1" and found["unit"] == "rad" and len(found["joints"]) == 12
     counts = {one["topic"]: one["messages"] for one in found["topics"]}
     assert counts == {"/action": 348, "/joint_states": 348, "/cam0/image": 348, "/cam1/image": 348, "/task": 1}
     video = REAL / "videos/chunk-000/observation.images.cam1/episode_000001.mp4"

@@ -1,0 +1,223 @@
+"""`bodylog fix`: images are paired with the rows that they show, the rest stays byte for byte."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bodylog.dataset.corrected_files import write_corrected
+from bodylog.dataset.remedies import CameraDelay, Remedy
+from bodylog.io import episodes
+from bodylog.logs.datasets.lerobot import open_lerobot
+from bodylog.settings import Settings
+from tests.logs.datasets import drawn
+
+av = pytest.importorskip("av", reason="PyAV is not installed: pip install 'bodylog[datasets]'")
+parquet = drawn.parquet
+
+ROWS = (24, 30, 20)
+FPS = drawn.FPS
+SIDE = "observation.images.side"
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """All files of a folder."""
+    found = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
+
+
+def with_second_camera(folder: Path) -> Path:
+    """The dataset with a camera more, whose videos are those of the first."""
+    path = folder / "meta/info.json"
+    info = json.loads(path.read_text())
+    info["features"][SIDE] = info["features"][drawn.CAMERA]
+    path.write_text(json.dumps(info))
+    shutil.copytree(
+        folder / f"videos/chunk-000/{drawn.CAMERA}", folder / f"videos/chunk-000/{SIDE}"
+    )
+    return folder
+
+
+def squares(folder: Path, number: int, camera: str) -> list[int]:
+    """The place of the drawn square, which tells the source's frame, in each image of an episode
+    as bodylog reads it, and its row's time."""
+    with open_lerobot(episodes.named(folder, number)) as log:
+        one = next(c for c in log.cameras.values() if c.metadata["bodylog.feature"] == camera)
+        images = [image for _, image in one.read()]
+        assert len(images) == len(one.ns)
+        state = next(s for s in log.signals if s.topic == "/joint_states")
+        assert np.abs(one.ns[: len(state.ns)] - state.ns).max() < 1_000
+    return [_column(image) for image in images if image is not None]
+
+
+def _column(image: Any) -> int:
+    """The left edge of the bright green square."""
+    green = image[8:24, :, 1].astype(int) - image[8:24, :, 0]
+    return int(np.argmax(green.mean(axis=0) > 80))
+
+
+def frames_of(rows: int) -> list[int]:
+    """The left edges of the squares in the frames of a drawn video."""
+    return [(2 * row) % 40 for row in range(rows)]
+
+
+def states(folder: Path, number: int) -> np.ndarray:
+    """The states of an episode, by pyarrow alone."""
+    files = sorted((folder / "data").rglob("*.parquet"))
+    tables = [parquet.read_table(path) for path in files]
+    parts = [
+        np.array(table.column("observation.state").to_pylist())[
+            np.array(table.column("episode_index")) == number
+        ]
+        for table in tables
+    ]
+    return np.concatenate([part.reshape(-1, 3) for part in parts])
+
+
+@pytest.fixture(params=["v2.1", "v3.0"])
+def dataset(request: Any, tmp_path: Path) -> Path:
+    """Three short episodes in either layout."""
+    folder = tmp_path / "source"
+    return drawn.v21(folder, list(ROWS)) if request.param == "v2.1" else drawn.v30(
+        folder, list(ROWS), "libx264"
+    )
+
+
+def test_nothing_to_do_leaves_every_file_as_it_is(dataset: Path, tmp_path: Path) -> None:
+    (dataset / "README.md").write_text("mine")
+    before = tree(dataset)
+    write_corrected(dataset, [Remedy(k) for k in range(3)], tmp_path / "out", "mark", Settings())
+    assert tree(dataset) == before
+    after = tree(tmp_path / "out")
+    assert after.pop("meta/fixed.json")
+    assert after == before
+
+
+@pytest.mark.parametrize("late", [3, -2])
+def test_rows_get_the_images_that_show_them(dataset: Path, tmp_path: Path, late: int) -> None:
+    out = tmp_path / "out"
+    delays = {drawn.CAMERA: CameraDelay(late / FPS + 0.004, 0.002)}
+    before = tree(dataset)
+    told = write_corrected(
+        dataset, [Remedy(k, "", delays) for k in range(3)], out, "keep", Settings()
+    )
+    assert tree(dataset) == before
+    assert any("4 ± 2 ms are left" in text for text in told)
+    for number, rows in enumerate(ROWS):
+        first, end = max(0, -late), rows - max(0, late)
+        assert np.array_equal(states(out, number), states(dataset, number)[first:end])
+        seen = squares(out, number, drawn.CAMERA)[: end - first]
+        wanted = frames_of(rows)[first + late : end + late]
+        assert np.abs(np.array(seen) - wanted).max() <= 1
+    films = {name: data for name, data in tree(out).items() if name.endswith(".mp4")}
+    assert films == {name: data for name, data in before.items() if name.endswith(".mp4")}
+
+
+def test_cameras_with_different_delays_are_each_paired(tmp_path: Path) -> None:
+    source = with_second_camera(drawn.v21(tmp_path / "source", list(ROWS)))
+    delays = {drawn.CAMERA: CameraDelay(3 / FPS, 0.002), SIDE: CameraDelay(1 / FPS, 0.002)}
+    write_corrected(
+        source, [Remedy(k, "", delays) for k in range(3)], tmp_path / "out", "keep", Settings()
+    )
+    for number, rows in enumerate(ROWS):
+        for camera, late in ((drawn.CAMERA, 3), (SIDE, 1)):
+            seen = squares(tmp_path / "out", number, camera)
+            wanted = frames_of(rows)[late : rows - 3 + late]
+            assert np.abs(np.array(seen) - wanted).max() <= 1
+        # as LeRobot looks it up: the frame whose time is the row's timestamp
+        table = parquet.read_table(tmp_path / f"out/data/chunk-000/episode_{number:06d}.parquet")
+        t = np.array(table.column("timestamp"))
+        for camera, late in ((drawn.CAMERA, 3), (SIDE, 1)):
+            film = tmp_path / f"out/videos/chunk-000/{camera}/episode_{number:06d}.mp4"
+            with av.open(str(film)) as container:
+                shown = {frame.time: _column(frame.to_ndarray(format="bgr24"))
+                         for frame in container.decode(video=0)}  # fmt: skip
+            times = np.array(list(shown))
+            nearest = [int(np.abs(times - at).argmin()) for at in t]
+            assert np.abs(times[nearest] - t).max() < 1e-4
+            wanted = frames_of(rows)[late : rows - 3 + late]
+            assert np.abs(np.array(list(shown.values()))[nearest] - wanted).max() <= 1
+
+
+def test_an_episode_left_out_is_listed_and_the_others_numbered_anew(
+    dataset: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    remedies = [Remedy(0), Remedy(1, "its camera is black"), Remedy(2)]
+    told = write_corrected(dataset, remedies, out, "mark", Settings())
+    assert "2 of 3 episodes are kept" in told
+    listed = [json.loads(text) for text in (out / "meta/excluded.jsonl").read_text().splitlines()]
+    assert listed == [{"episode_index": 1, "reason": "its camera is black"}]
+    info = json.loads((out / "meta/info.json").read_text())
+    assert (info["total_episodes"], info["total_frames"]) == (2, ROWS[0] + ROWS[2])
+    assert np.array_equal(states(out, 1), states(dataset, 2))
+    assert len(squares(out, 1, drawn.CAMERA)) == ROWS[2]
+    tables = [parquet.read_table(path) for path in sorted((out / "data").rglob("*.parquet"))]
+    index = np.concatenate([np.array(table.column("index")) for table in tables])
+    assert index.tolist() == list(range(ROWS[0] + ROWS[2]))
+
+
+def test_repeated_frames_are_marked_or_half_of_the_rows_dropped(tmp_path: Path) -> None:
+    source = drawn.v21(tmp_path / "source", [40])
+    pictures = drawn.images(40)[np.arange(40) // 2 * 2]
+    drawn.film(source / f"videos/chunk-000/{drawn.CAMERA}/episode_000000.mp4", pictures)
+    remedy = Remedy(0, "", {}, (drawn.CAMERA,))
+    write_corrected(source, [remedy], tmp_path / "marked", "mark", Settings())
+    table = parquet.read_table(tmp_path / "marked/data/chunk-000/episode_000000.parquet")
+    marks = np.array(table.column("repeated.top"))
+    assert marks[1::2].all() and not marks[::2].any()
+    info = json.loads((tmp_path / "marked/meta/info.json").read_text())
+    assert info["features"]["repeated.top"]["dtype"] == "bool"
+    write_corrected(source, [remedy], tmp_path / "half", "drop", Settings())
+    assert json.loads((tmp_path / "half/meta/info.json").read_text())["fps"] == FPS / 2
+    assert np.array_equal(states(tmp_path / "half", 0), states(source, 0)[::2])
+    assert squares(tmp_path / "half", 0, drawn.CAMERA) == pytest.approx(frames_of(40)[::2], abs=1)
+
+
+def test_statistics_are_those_of_the_rows_left(tmp_path: Path) -> None:
+    source = drawn.v21(tmp_path / "source", [24])
+    values = states(source, 0)
+    own = {"min": values.min(0).tolist(), "q50": np.median(values, 0).tolist(), "count": [24]}
+    line = {"episode_index": 0, "stats": {"observation.state": own}}
+    (source / "meta/episodes_stats.jsonl").write_text(json.dumps(line) + "\n")
+    delays = {drawn.CAMERA: CameraDelay(0.25, 0.01)}
+    write_corrected(source, [Remedy(0, "", delays)], tmp_path / "out", "keep", Settings())
+    stored = json.loads((tmp_path / "out/meta/episodes_stats.jsonl").read_text())
+    found, left = stored["stats"]["observation.state"], values[:19]
+    assert found["count"] == [19]
+    assert found["min"] == pytest.approx(left.min(0))
+    assert found["q50"] == pytest.approx(np.median(left, 0))
+
+
+def test_the_command_says_what_it_did_and_refuses_what_it_cannot(
+    tmp_path: Path, run_cli: Any, capsys: Any
+) -> None:
+    source = drawn.v21(tmp_path / "source", [24, 24, 24])
+    film = source / f"videos/chunk-000/{drawn.CAMERA}/episode_000002.mp4"
+    film.write_bytes(film.read_bytes()[:200])
+    before = tree(source)
+    assert run_cli("fix", source, "-o", tmp_path / "out", "--jobs", "1") == 0
+    said = capsys.readouterr().out
+    assert "2 of 3 episodes are kept" in said and "episode 2 is left out" in said
+    assert tree(source) == before
+    assert run_cli("fix", source, "-o", tmp_path / "out") == 2
+    assert "already exists" in capsys.readouterr().err
+    assert run_cli("fix", source, "-o", source / "inside") == 2
+    (tmp_path / "logs").mkdir()
+    drawn.aloha(tmp_path / "logs/one.hdf5")
+    assert run_cli("fix", tmp_path / "logs", "-o", tmp_path / "other") == 2
+    assert "bodylog convert" in capsys.readouterr().err
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == ["logs", "out", "source"]
+
+
+def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
+    from bodylog.errors import LogError
+
+    source = drawn.v21(tmp_path / "source", [24])
+    with pytest.raises(LogError, match="all of its 1 episodes are left out"):
+        write_corrected(source, [Remedy(0, "bad")], tmp_path / "out", "mark", Settings())
+    assert [path.name for path in tmp_path.iterdir()] == ["source"]
