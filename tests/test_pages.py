@@ -76,6 +76,18 @@ def test_page_links_resolve(page):
             assert anchor in {_slug(heading) for heading in headings}, target
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_paths_on_a_page_exist(page):
+    """Source files and folders, but for what the page's own commands write."""
+    folders = ("bodylog", "cli", "tests", "docs", ".github")
+    there = [*ROOT.glob("*"), *(path for name in folders for path in (ROOT / name).rglob("*"))]
+    known = [f"{path}/" if path.is_dir() else str(path) for path in there]
+    named = set(re.findall(r"`(?:\.\./)?([\w./-]+(?:\.(?:py|c|h)|/))`", FENCE.sub("", PAGES[page])))
+    written = set(re.findall(r"[\w.-]+", "".join(_blocks(page, "bash", "text"))))
+    missing = {name for name in named if not any(path.endswith(f"/{name}") for path in known)}
+    assert not {name for name in missing if name.rstrip("/") not in written}
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if _blocks(page, "toml")])
 def test_settings_on_a_page_are_accepted(page, tmp_path):
     for block in _blocks(page, "toml"):
