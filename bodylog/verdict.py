@@ -39,7 +39,7 @@ def of_body(
     placements: where cameras and markers are, in sentences · others: joints that were not learned.
     """
     values = {score.name: score.value for score in scores}
-    left = f"; not over {', '.join(others)}: why is told with -v" if others else ""
+    left = f"; not over {', '.join(others)}; -v says why" if others else ""
     learned = f"learned over {_count(len(joints), 'joint')}: {', '.join(joints)}{left}"
     errors = [_held_out(track, value, values) for track, value in _of(values, "rmse/held_out").items()]
     offsets = [_offset(score, values) for score in scores if split(score.name)[0] == "offset"]

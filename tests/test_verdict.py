@@ -136,7 +136,7 @@ def test_body_verdict_says_how_far_error_bars_are_from_the_errors(nis: float, te
 def test_body_verdict_names_all_joints_and_those_not_learned() -> None:
     names = tuple(f"j{k}" for k in range(8))
     (line,) = of_body(names, (), others=("gripper",))
-    assert line == f"learned over 8 joints: {', '.join(names)}; not over gripper: why is told with -v"
+    assert line == f"learned over 8 joints: {', '.join(names)}; not over gripper; -v says why"
 
 
 def test_batch_verdict_counts_outcomes_and_names_the_worst() -> None:
