@@ -27,13 +27,13 @@ demo: $(VENV)/installed
 	@echo "The report, for a browser:               $(CURDIR)/demo/report.html"
 	@echo "Figures:                                 $(CURDIR)/demo/figures"
 
-# The same without a marker: the URDF in the log, and the texture of the links.
+# The same without a marker: the URDF in the log, and the texture of the links, which a seed decides.
 demo-bare: $(VENV)/installed
 	mkdir -p demo
 	$(BIN)/bodylog record babble --full --scene bare -o demo/bare_explore.mcap --seed 1 --duration 24
-	$(BIN)/bodylog record drift --scene bare -o demo/bare_drift.mcap --seed 2 --duration 12
+	$(BIN)/bodylog record reach --scene bare -o demo/bare_reach.mcap --seed 1 --duration 12
 	$(BIN)/bodylog fit demo/bare_explore.mcap --urdf log -o demo/bare_body.npz
-	$(BIN)/bodylog estimate demo/bare_drift.mcap --body demo/bare_body.npz -o demo/bare_estimate.mcap
+	$(BIN)/bodylog estimate demo/bare_reach.mcap --body demo/bare_body.npz -o demo/bare_estimate.mcap
 	$(BIN)/bodylog calibration demo/bare_body.npz
 
 lint: $(VENV)/installed

@@ -16,6 +16,7 @@ from bodylog.errors import ModelError
 from bodylog.surface_estimate import picture_shift
 
 REACH = Path(__file__).parents[1] / "fixtures" / "arm" / "reach.mcap"
+G1 = Path(__file__).parents[2] / "shared" / "real" / "g1"
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 PAN_ONLY = """<robot name="arm"><link name="base"/><link name="a"/><link name="b"/><link name="c"/>
 <joint name="shoulder_pan_joint" type="revolute"><origin xyz="0 0 0.2"/><parent link="base"/><child link="a"/>
@@ -189,4 +190,20 @@ def test_rendered_arm_teaches_a_body_that_judges_another_log(worlds, run_cli, tm
     assert abs(delay["value"]) < max(0.003, 2.0 * delay["std"])
     assert not entry["faults"]
     (line,) = [text for text in entry["verdict"] if "no fault found" in text]
-    assert "error bars hold no offset: smaller offsets than " in line and "none would be found" in line
+    assert "error bars hold no offset: smaller offsets than " in line
+    assert run_cli("estimate", worlds / "bare_offset", "--body", body, "-o", out, "--json") == 0
+    (entry,) = json.loads(capsys.readouterr().out)["results"]
+    (fault,) = entry["faults"]
+    assert fault["name"] == "elbow_joint"
+    assert np.degrees(fault["size"]) == pytest.approx(5.0, abs=0.35)
+
+
+@pytest.mark.soak
+def test_dataset_of_a_real_humanoid_falls_back_to_the_surface(run_cli, tmp_path, capsys):
+    if not G1.is_dir():
+        pytest.skip("the real G1 (../shared/real/g1) is not at hand")
+    body = tmp_path / "body.npz"
+    assert run_cli("fit", f"{G1}#1", "--urdf", G1 / "g1_inspire.urdf", "-o", body) == 0
+    told = capsys.readouterr()
+    assert "learned by the robot's own surface" in told.out + told.err
+    assert storage.load(body).surface.cameras[0].landmarks is not None

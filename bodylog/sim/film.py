@@ -78,7 +78,8 @@ def side_items(stage: Stage) -> Iterator[Item]:
 
 def _film(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
     rng = stage.chance(view.stream)
-    wall, noise = cameras.background(view.camera, rng, stage.wish.options.scene == "bare"), cameras.sensor_noise(view.camera, rng)
+    wall = cameras.background(view.camera, rng, stage.wish.options.scene == "bare")
+    noise = cameras.sensor_noise(view.camera, rng)
     shot: _Shot | None = None
     for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, view.offset_ns):
         t = stamps / 1e9 + _exposure_delays(stage, view, stamps / 1e9)
