@@ -23,7 +23,7 @@ LATE_S = 0.01
 SIGNIFICANT_SIGMA = 3.0
 LATENESS_S = (0.0, 0.1, 0.2, 0.3)
 """s by which images may be late: an arm that sets off is not in them yet."""
-SLOW_SHARE = 0.25
+SLOW_SHARE = 0.02
 """Share of the images that change whose joints are slower than those of a frozen image have to
 be."""
 LEAST_CHANGES = 20
