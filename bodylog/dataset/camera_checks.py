@@ -23,9 +23,10 @@ LATE_S = 0.01
 SIGNIFICANT_SIGMA = 3.0
 LATENESS_S = (0.0, 0.1, 0.2, 0.3)
 """s by which images may be late: an arm that sets off is not in them yet."""
-SLOW_SHARE = 0.5
-"""Share of the images that change whose joints are slower than those of a frozen image have to
-be."""
+SLOW_SHARE, SLOWEST_SHARE = 0.25, 0.02
+"""Shares of the images that change whose joints are slower than those of a frozen image have to be,
+in stretches up to LASTING_S and in longer ones: an arm that comes to rest looks frozen briefly."""
+LASTING_S = 1.0
 LEAST_CHANGES = 20
 """Fewest changing images that tell how fast joints are when images change."""
 
@@ -117,13 +118,14 @@ def _runs_with_motion(
     changes = np.isfinite(seen.block_change) & (seen.block_change >= SAME_GREY)
     for first, end in runs:
         changes[first:end] = False
-    usual = 0.0
+    usual = least = 0.0
     if changes.sum() >= LEAST_CHANGES:
-        usual = float(np.quantile(speeds[0][changes], SLOW_SHARE))
+        usual, least = np.quantile(speeds[0][changes], [SLOW_SHARE, SLOWEST_SHARE]).tolist()
     return [
         (first, end)
         for first, end in runs
-        if speeds[:, first + 1 : end].mean(axis=1).min() >= usual
+        if speeds[:, first + 1 : end].mean(axis=1).min()
+        >= (least if t[end - 1] - t[first] > LASTING_S else usual)
         and all(
             moves_between(joints.values, joints.t, t[first] - late_s, t[end - 1] - late_s)
             for late_s in LATENESS_S

@@ -448,8 +448,7 @@ def _delay_sentence(figure: str, one: PooledDelay) -> str:
     size = f"{1e3 * abs(mean):.0f} ± {1e3 * std:.0f} ms"
     between = f", jitter {1e3 * one.jitter:.0f} ms between episodes" if one.jitter > 0.0 else ""
     if one.shared_std > one.own_std:
-        shutter = f"± {1e3 * one.shared_std:.0f} ms of it for a rolling shutter"
-        between += f"; {shutter}, which --urdf would measure"
+        between += f"; ± {1e3 * one.shared_std:.0f} ms of it are the method's, --urdf has less"
     if figure == "delay/action":
         return f"the state follows the action after {size}{between}"
     name = figure.partition("/")[2]
