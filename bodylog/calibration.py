@@ -134,7 +134,7 @@ def _values(values: Any, stds: Any, digits: int) -> str:
 
 
 def zero_lines(found: "Sequence[Offset]") -> Iterator[str]:
-    """Yield each joint's zero in degrees or mm, each scale in percent, or what it cannot be told from."""
+    """Yield each joint's zero in degrees or mm, each scale in percent, or what it cannot be separated from."""
     width = max((len(one.joint) for one in found), default=0)
     for one in found:
         shown = one.shown if one.identifiable else f"not identifiable: {' and '.join(one.confused) or 'not seen'}"

@@ -36,7 +36,7 @@ MOST_OFF = 0.5
 """Share of sightings off from which a log does not fit. Encoders of real arms with play and load, and one image in
 three of something else, stay below it."""
 FORETOLD = 0.9
-"""Share of the images' motion that joints must foretell where another camera is named."""
+"""Share of the images' motion that joints must predict where another camera is named."""
 MOST_CAUSES = 2
 """Encoders, cameras and markers that may have faults at once which only the body shows: a log of another body is more
 likely than three sensors that fail together."""
@@ -275,7 +275,7 @@ def _has_moved(features: Features, body: BodyModel) -> bool:
 
 
 def _foretold_share(track: Sightings) -> float:
-    """Share of a track's variance foretold by a regression on squares of the angles, of parts not learned from."""
+    """Share of a track's variance predicted by a regression on squares of the angles, of parts not learned from."""
     own = track.x - track.x.mean(axis=0)
     own = own / np.maximum(own.std(axis=0), 1e-6)
     upper = np.triu_indices(own.shape[1])

@@ -256,7 +256,7 @@ def picture_shift(before: Array, after: Array | None, width: int) -> float | Non
 
 
 def _with_judgement(found: Estimate, one: Judged, learned: BodyModel) -> Estimate:
-    """An estimate with one camera's delay, faults and remarks, and an offset taken off."""
+    """An estimate with one camera's delay, faults and remarks, and an offset subtracted."""
     from .evaluation.figures import LEAST_OFFSETS, MEASURED_DELAYS
 
     assert learned.surface is not None
@@ -335,7 +335,7 @@ def _fault(one: Judged, found: Estimate, learned: BodyModel) -> "tuple[Fault | N
 
 
 def _without_offset(found: Estimate, fault: Fault) -> Estimate:
-    """The estimate with a joint's offset taken off, and its variance added."""
+    """The estimate with a joint's offset subtracted, and its variance added."""
     assert fault.std is not None
     joint = found.joints.names.index(fault.name)
     values, cov = found.joints.values.copy(), found.cov.copy()

@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if not (signalled and signalled()):
             if not isinstance(problem, KeyboardInterrupt):
                 raise
-            with suppress(OSError):  # before signals were listened to: nothing was begun
+            with suppress(OSError):  # before signals were listened to: nothing was started
                 os.write(2, b"bodylog: interrupted; nothing half-written was left\n")
         code = 128 + signal.SIGINT
     if signalled and signalled():

@@ -1,4 +1,4 @@
-"""State against action: how late the joints follow what was asked of them, and by how far they miss
+"""State against action: the delay with which the joints follow what was asked of them, and by how far they miss
 it."""
 
 from collections.abc import Iterator

@@ -59,7 +59,7 @@ def measure_row_times(reading: EpisodeReading) -> Iterator[Measurement]:
 
 
 def measure_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
-    """Share of frames that repeat their predecessor, among those of which that can be told."""
+    """Share of frames that repeat their predecessor, among those where that can be decided."""
     for name, seen in _seen(reading):
         share = seen.repeats.share
         if share is None or np.median(seen.brightness) < BLACK_GREY:

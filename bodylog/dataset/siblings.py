@@ -111,7 +111,7 @@ def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> l
     outliers = [one.number for one in removed[:count]]
     sound = np.setdiff1d(np.flatnonzero(np.isfinite(values)), outliers)
     student = float(-stdtrit(max(len(sound) - 1, 1), tail))
-    # distances beside further outliers are short: each is told as it is farthest
+    # distances beside further outliers are short: each is reported as it is farthest
     alone = [_compare(values, std, sound, k, resolution, student, normal) for k in outliers]
     pairs = zip(removed[:count], alone, strict=True)
     return [max(pair, key=lambda one: one.z / one.bound) for pair in pairs]

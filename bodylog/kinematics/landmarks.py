@@ -73,7 +73,7 @@ class Sightings:
         return np.asarray(np.add.reduceat(values, self.begins, axis=0))
 
     def take(self, pieces: Array) -> "Sightings":
-        """The pieces with these numbers (k,), ascending, numbered anew."""
+        """The pieces with these numbers (k,), ascending, numbered from 0."""
         number = np.full(self.count, -1)
         number[pieces] = np.arange(len(pieces))
         rows = number[self.piece] >= 0

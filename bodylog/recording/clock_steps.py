@@ -250,7 +250,7 @@ def _level_change(
     """Change of the median of late (n,) ns at `row` and its std, from [begin, row) and what
     follows; 0 if not steady.
 
-    What follows is [row, end), and more of it where that is short: a few messages astray are no
+    What follows is [row, end), and more of it where that is short: a few messages out of order are no
     step.
     """
     last = max(min(end, row + window), min(len(late), row + LASTING))

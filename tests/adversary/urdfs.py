@@ -1,4 +1,4 @@
-"""Hostile URDFs: trees that are none, joints that follow one another, numbers and texts of any kind."""
+"""Hostile URDFs: invalid trees, joints that follow one another, numbers and texts of any kind."""
 
 from pathlib import Path
 from xml.sax.saxutils import quoteattr

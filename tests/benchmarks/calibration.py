@@ -1,7 +1,7 @@
 """Calibrations side by side on the same splits of real robots: `python -m tests.benchmarks.calibration DIR [ROBOT …]`.
 
 Ours, a plain bundle adjustment with joint zeros, and OpenCV's hand-eye methods. Each learns from the same images and
-foretells the same withheld ones. DIR has the robots' folders as docs/real.md lists them. To enter a method, give a
+predicts the same withheld ones. DIR has the robots' folders as docs/real.md lists them. To enter a method, give a
 function from `Split` to `Solution`, and add it to METHODS.
 """
 
@@ -147,7 +147,7 @@ def hand_eye(method: str) -> Callable[[Split], Solution]:
 
 
 def ours(split: Split) -> Solution:
-    """`bodylog fit` on the rows to learn from; the withheld images foretold by the calibration alone."""
+    """`bodylog fit` on the rows to learn from; the withheld images predicted by the calibration alone."""
     with TemporaryDirectory() as folder:
         head, *lines = split.table.read_text().splitlines()
         log = Path(folder) / "learn.csv"
@@ -172,7 +172,7 @@ METHODS: Mapping[str, Callable[[Split], Solution]] = {
 
 
 def reprojection_px(split: Split, found: Solution) -> float:
-    """RMS distance, px, of the withheld points from where they are foretold."""
+    """RMS distance, px, of the withheld points from where they are predicted."""
     off = project(split, found, split.test.q) - split.test.image
     return float(np.sqrt(np.nanmean(np.square(off).sum(axis=-1))))
 

@@ -69,5 +69,7 @@ def test_range_warning_names_a_joint_outside_its_explored_range(drawn):
 
 
 def test_range_warning_is_absent_for_an_encoder_without_readings(drawn):
-    silenced = lambda x: np.where([False, False, True] & (np.arange(len(x)) > 0)[:, None], np.nan, x)  # noqa: E731
+    def silenced(x):
+        return np.where([False, False, True] & (np.arange(len(x)) > 0)[:, None], np.nan, x)
+
     assert not range_texts(drawn, silenced)

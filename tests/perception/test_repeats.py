@@ -1,4 +1,4 @@
-"""Frames that repeat their predecessor: stored twice exactly, coded anew, and what is no repeat."""
+"""Frames that repeat their predecessor: stored twice exactly, coded again, and what is no repeat."""
 
 from collections.abc import Iterator
 

@@ -71,7 +71,7 @@ def _chosen_again(
     cost: Callable[[Problem], float],
     tuned: Callable[[Problem], Problem],
 ) -> Problem:
-    """Each of several offsets anew, given the others, if all of them together then cost less.
+    """Each of several offsets again, given the others, if all of them together then cost less.
 
     The first was chosen while the others were unknown, and may have taken up part of them.
     """

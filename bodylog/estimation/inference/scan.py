@@ -115,7 +115,7 @@ def prepared(
 
 
 def restart(readings: Readings, dynamics: Dynamics, z: Array, p: Array, trace: Trace) -> None:
-    """Filter anew, in place, from starts z (K,C), p (K,K,C), until a block ends with the belief of before."""
+    """Filter again, in place, from starts z (K,C), p (K,K,C), until a block ends with the belief of before."""
     assert trace.marks is not None
     for at, after in zip(trace.blocks, [*trace.marks[1:], None], strict=True):
         part = scan(readings.between(at.start, at.stop), dynamics, z, p, Keep.MEANS, trace.between(at))

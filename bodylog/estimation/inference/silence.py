@@ -4,7 +4,7 @@ Frames that leave silent joints open are linearised over the smoothed belief. Ov
 of a silence, lines are coarse and may lead to another posture. The smoother begins with the readings on both sides of a
 silence, without its frames; then lines and path follow from each other until the path converges (iterated posterior
 linearisation: García-Fernández, Svensson & Särkkä 2017). Two postures may look the same and both converge, so a silence
-is begun several times, through the cubature points of its widest belief, and each path counts by its evidence.
+starts several times, through the cubature points of its widest belief, and each path counts by its evidence.
 """
 
 from collections.abc import Iterator, Mapping
@@ -25,7 +25,7 @@ from .solution import Smooth, Solution, completed
 from .walk import frames_by_instant, walk, write
 
 BRIEF = 5.0
-"""s: a longer silence is begun once, as evidence of 40 sines with 10 s does not tell postures apart. Readings within as
+"""s: a longer silence starts once, as evidence of 40 sines with 10 s does not tell postures apart. Readings within as
 long on either side weigh the paths of a shorter one."""
 
 Frames = Mapping[int, Mapping[int, PendingFrame]]
@@ -71,7 +71,7 @@ def _silences(problem: Problem, alone: Array) -> Iterator[Frames]:
 
 
 def _begun(problem: Problem, solution: Solution, frames: Frames) -> tuple[Solution, Frames]:
-    """A silence begun through each cubature point, side by side, and the frames of all."""
+    """A silence started through each cubature point, side by side, and the frames of all."""
     line, at, m = problem.timeline.t, list(frames), len(problem.start)
     first, last = np.searchsorted(line, [line[at[0]] - BRIEF, line[at[-1]] + BRIEF])
     length, count = last - first, 1 + 2 * m if line[at[-1]] - line[at[0]] <= BRIEF else 1

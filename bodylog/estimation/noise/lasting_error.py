@@ -21,7 +21,7 @@ from .correlated_noise import NEAR, reach
 from .quantisation import resolved
 
 PIECES = 4
-"""Stretches of a log that are looked at: what lasts is told by each, and time stays constant."""
+"""Stretches of a log that are looked at: each says what lasts, and time stays constant."""
 ROWS = 128
 """Rows of residuals in a stretch."""
 LEAST_IMAGES = 24

@@ -16,7 +16,7 @@ from .encoders import Encoding, faults, learned
 from .solve import Poses, Solved, gathered, solved
 
 LEAST_LEFT = 1e-12
-"""Least 1 − s at which the other readings foretell one: rounding of s, some 1e-16, stays below a thousandth of it."""
+"""Least 1 − s at which the other readings predict one: rounding of s, some 1e-16, stays below a thousandth of it."""
 
 
 def estimate(features: Features, body: BodyModel, settings: Estimation, can: Capabilities) -> Estimate:
@@ -89,7 +89,7 @@ def _left_out(poses: Poses, at: Solved, rows: slice) -> tuple[Array, Array]:
 
     With H = J P Jᵀ, R the noise and r the residual, the one left out has the residual R (R − H)⁻¹ r, of covariance R (R
     − H)⁻¹ R (Rasmussen & Williams 5.12 for one block). By the eigenvalues s of H in units of R, 1 − s is how well the
-    others foretell it: where it is below LEAST_LEFT, the error is NaN, and the covariance the prior's.
+    others predict it: where it is below LEAST_LEFT, the error is NaN, and the covariance the prior's.
     """
     jac, eye = at.jac[:, rows], np.eye(rows.stop - rows.start)
     noise = at.var[:, None, rows] * eye

@@ -44,7 +44,7 @@ FREEDOM = 4.0
 NOISE_RATIOS = np.exp(np.linspace(-9.0, 6.0, 31))
 """Ratios of the noise's variance to the mean eigenvalue of the motion's covariance that are tried."""
 REWEIGHTINGS = 2
-"""Rounds in which intervals are weighted anew."""
+"""Rounds in which intervals are weighted again."""
 JACKKNIFE_BLOCKS = 8
 """Blocks of intervals that are left out in turn."""
 
@@ -71,7 +71,7 @@ class FlowDelay:
 
     @property
     def certain(self) -> bool:
-        """Whether the delay can be told."""
+        """Whether the delay can be measured."""
         return self.nats >= MIN_EVIDENCE_NATS and not self.edge
 
 

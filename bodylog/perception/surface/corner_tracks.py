@@ -54,7 +54,7 @@ class CornerTracks:
         return int(self.piece[-1]) + 1 if len(self.piece) else 0
 
     def take(self, pieces: Array) -> "CornerTracks":
-        """The pieces with these numbers (K,), ascending, numbered anew."""
+        """The pieces with these numbers (K,), ascending, numbered from 0."""
         number = np.full(self.count, -1)
         number[pieces] = np.arange(len(pieces))
         rows = number[self.piece] >= 0

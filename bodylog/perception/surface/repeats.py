@@ -127,7 +127,7 @@ def shrink_grey(image: Array) -> Array:
 
 
 def _judge(change: Array, equal: Array) -> tuple[Array, Array]:
-    """Which frames repeat their predecessor, and of which that can be told, both (N,)."""
+    """Which frames repeat their predecessor, and for which that can be decided, both (N,)."""
     finite = change[np.isfinite(change) & ~equal]
     noise = min(float(np.percentile(finite, 5.0)), _MOST_NOISE_GREY) if len(finite) else 0.0
     motion = np.where(np.isfinite(change) & ~equal, np.maximum(change - noise, 0.0), 0.0)

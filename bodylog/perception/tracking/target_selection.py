@@ -276,7 +276,7 @@ def _usual(t: Array, mass: Array) -> tuple[Array, float]:
 def _lines(t: Array, values: Array, weight: Array) -> Array:
     """At each time, the weighted line through the values within _NEAR s: (N,); the value itself if none count.
 
-    Running sums are begun anew every _AT_ONCE rows, with times and values from there on: those of a whole log are so
+    Running sums restart every _AT_ONCE rows, with times and values from there on: those of a whole log are so
     large that what one window adds drowns in their rounding.
     """
     low, high = np.searchsorted(t, t - _NEAR), np.searchsorted(t, t + _NEAR, side="right")
