@@ -8,7 +8,6 @@ import numpy as np
 from ..faults.threshold import NATS
 from ..measurements.gather import camera
 from .columns import Column, Delay, Path, Play, RowTime
-from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve
 from .noise import FEWEST_READINGS, Learned, learn_noise
 from .problem import FactorProblem, Noise
@@ -133,21 +132,15 @@ def _best(found: Sequence[Learned]) -> Learned:
     return min(found, key=lambda one: one.nats)
 
 
-def with_lasting(noise: Noise, std: float) -> Noise:
-    """The noise with errors of `std` rad that last at all encoders but those whose offset was found."""
-    joints = noise.joints
-    given = np.zeros(len(joints.white)) if joints.error is None else joints.error
-    learned = given <= LEAST_STD
-    error = np.where(learned, std, given)
-    seconds = np.where(learned, FIRST_S, joints.seconds)
-    return replace(noise, joints=replace(joints, error=error, seconds=seconds, learned=learned))
-
-
 def _lasting(noise: Noise) -> tuple[Noise, Noise]:
     """The noise with errors that last, at the encoders and at the links."""
-    own = with_lasting(noise, FIRST_STD)
-    at_link = replace(own.joints, at_link=own.joints.learned)
-    return own, replace(own, joints=at_link)
+    joints = noise.joints
+    given = np.zeros(len(joints.white)) if joints.error is None else joints.error
+    error = np.where(joints.learned, FIRST_STD, given)
+    seconds = np.where(joints.learned, FIRST_S, joints.seconds)
+    own = replace(joints, error=error, seconds=seconds)
+    at_link = replace(own, at_link=joints.learned)
+    return replace(noise, joints=own), replace(noise, joints=at_link)
 
 
 def _learn(

@@ -14,7 +14,7 @@ from ..noise.quantisation import resolved
 from .columns import EncoderShift
 from .encoder_error import LEAST_STD, JointNoise
 from .gauss_newton import Solution, path_of, solve
-from .hypotheses import FIRST_S, Explanation, explain, with_lasting
+from .hypotheses import FIRST_S, FIRST_STD, Explanation, explain
 from .images import ImageRows, Images
 from .problem import FactorProblem, Noise
 from .robust import believed, left_out, outlier_nats
@@ -37,8 +37,6 @@ MOST_COUNTS = 2.0
 """Variances of whole counts up to which an error that lasts is that of the counts."""
 TURN = np.array([2.0 * np.pi])
 """rad: within what an outlier of an encoder may be."""
-USUAL_STD = 4e-3
-"""rad: of errors that last where readings are weighed before these are known."""
 FIRST_PROCESS = 10.0
 """rad²/s⁵ with which the search begins where the encoders give none."""
 
@@ -103,7 +101,7 @@ def explain_log(problem: Problem) -> ExplainedLog | None:
         return None
     fine = _posed(problem, encoders, sightings, _thinned(problem.timeline.t, CLOSEST_S))
     noise = _first_noise(problem, len(sightings))
-    fine = _weighed(fine, with_lasting(noise, USUAL_STD), rough=True)
+    fine = _weighed(fine, _with_lasting(noise), rough=True)
     coarse = _middle(fine)
     found = explain(coarse, noise, float(np.median(np.diff(encoders.t))), partial(_is_of_counts, encoders=encoders))
     return ExplainedLog(fine, found, found.learned.nats + _outliers(coarse))
@@ -214,8 +212,15 @@ def _first_noise(problem: Problem, sights: int) -> Noise:
     walks = drift > 0.0
     seconds = np.where(walks, 2.0 * FAR**2 / np.where(walks, drift, 1.0), FIRST_S)
     error = np.where(walks, FAR, LEAST_STD) if walks.any() else None
-    joints = JointNoise(ORDER, precision.encoder, process, error, seconds, np.zeros(m, bool), np.zeros(m, bool))
+    joints = JointNoise(ORDER, precision.encoder, process, error, seconds, np.zeros(m, bool), ~walks)
     return Noise(joints, (1.0,) * sights)
+
+
+def _with_lasting(noise: Noise) -> Noise:
+    """The noise with errors that last, of the usual size."""
+    joints = noise.joints
+    given = np.zeros(len(joints.white)) if joints.error is None else joints.error
+    return replace(noise, joints=replace(joints, error=np.where(joints.learned, 4.0 * FIRST_STD, given)))
 
 
 def _weighed(fine: FactorProblem, noise: Noise, rough: bool) -> FactorProblem:
