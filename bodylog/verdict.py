@@ -8,7 +8,7 @@ import numpy as np
 from .evaluation.figures import FIRST, LEAST_OFFSETS, MEASURED_DELAYS, MISFIT, doubtful_delays
 from .fault_findings import span_text
 from .score_names import split
-from .types import EITHER, HARDWARE_ERRORS, Estimate, Fault, Score
+from .types import EITHER, LASTING_ERROR, Estimate, Fault, Score
 from .wording import quantity
 
 MOST = 3
@@ -27,7 +27,7 @@ def of_estimate(found: Estimate, scores: Sequence[Score]) -> tuple[str, ...]:
     if MISFIT in found.settings:
         return (str(found.settings[MISFIT]["text"]),)
     faults = [_fault(fault) for fault in found.faults]
-    sure = (*_first(faults, "faults"), *_delays(found), *_hardware_errors(found))
+    sure = (*_first(faults, "faults"), *_delays(found), *_lasting_error(found))
     return (*sure, _agreement(found), *_error(found, scores))
 
 
@@ -140,19 +140,13 @@ def _delays(found: Estimate) -> Iterator[str]:
         yield f"{camera}: timestamps seem {abs(delay) * 1e3:.3g} ± {std * 1e3:.1g} ms {way}; not corrected: {doubt}"
 
 
-def _hardware_errors(found: Estimate) -> Iterator[str]:
-    """Errors of joints, encoders and cameras that the angles allow for."""
-    told = found.settings.get(HARDWARE_ERRORS)
-    if not isinstance(told, Mapping):
-        return
-    for joint, one in told["play"].items():
-        width, std = np.rad2deg([one["rad"], one["std"]])
-        yield f"{joint}: {width:.2f} ± {std:.2f}° of play; corrected"
-    if one := told["lasting"]:
-        size = f"{one['seconds']:.2g} s, {1e3 * one['std']:.2g} mrad"
-        yield f"encoders: errors last {size}; angles and error bars allow for it"
-    if one := told["row_time"]:
-        yield f"camera: its rows are {1e3 * abs(one['seconds']):.0f} ± {1e3 * one['std']:.0f} ms apart; corrected"
+def _lasting_error(found: Estimate) -> Iterator[str]:
+    """Errors of encoders that last, by which error bars are widened."""
+    own = found.settings.get(LASTING_ERROR)
+    if isinstance(own, Mapping):
+        size = f"{own['seconds']:.2g} s, {1e3 * own['std']:.2g} mrad"
+        narrow = f"NEES about {own['nees_if_white']:.2g} without"
+        yield f"encoders: errors last about {size}; error bars are wider for it ({narrow})"
 
 
 def _agreement(found: Estimate) -> str:

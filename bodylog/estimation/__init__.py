@@ -7,7 +7,7 @@ from ..body_model import BodyModel
 from ..errors import UsageError
 from ..runtime.blas_threads import one_thread
 from ..settings import Estimation
-from ..types import HARDWARE_ERRORS, Estimate, Features
+from ..types import Estimate, Features
 from .common_cause import infer_common_causes
 from .faults.consistency import consistency_findings
 from .inference import kernel
@@ -17,7 +17,7 @@ from .methods.table import METHODS, ignored_settings
 from .noise import typed
 from .noise.angle_unit import UNIT, as_angles, in_units, unit_of
 from .poses.estimate import estimate as still_poses
-from .timing.correction import add_delay_uncertainty, as_stamped, corrected, reconsidered
+from .timing.correction import add_delay_uncertainty, as_stamped, corrected
 
 __all__ = ["METHODS", "check", "estimate"]
 
@@ -54,10 +54,6 @@ def _timely(features: Features, body: BodyModel, settings: Estimation, delay: st
         return finite(METHODS[settings.method].estimate(sensed, body, chosen))
 
     found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
-    left = found.settings.get(HARDWARE_ERRORS, {}).get("late", {})
-    if (again := reconsidered(timely, features, body, delay, left)) is not None:
-        timely = again
-        found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
     used = dict(found.settings)
     if timely.delays:
         found = as_stamped(found, features, timely.features)

@@ -11,7 +11,7 @@ import numpy as np
 from bodylog import body, config, pipeline
 from bodylog.evaluation.scores import at_times
 from bodylog.experiments.lab import ObservedLog
-from bodylog.types import HARDWARE_ERRORS
+from bodylog.types import LASTING_ERROR
 from tests.validation import figures
 
 FOLDER = Path(__file__).parents[3] / "shared" / "logs" / "hardware"
@@ -87,7 +87,7 @@ def row(name, exploration, run):
         cells.append(f"{figures.mrad(runs)}; {figures.joined([nees])}; {coverage:.0f} %")
         counts = counts or (
             str(sum(len(found.faults) for found in runs)),
-            f"{sum(HARDWARE_ERRORS in found.settings for found in runs)} of {RUNS}",
+            f"{sum(LASTING_ERROR in found.settings for found in runs)} of {RUNS}",
         )
     raw = 1e3 * figures.rms([raw_error(one, learned(exploration)) for one in logs])
     return (name, f"{raw:.3g}", *cells, *counts)

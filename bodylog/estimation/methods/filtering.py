@@ -25,7 +25,7 @@ from ..noise import encoder_noise, typed
 from ..noise.evidence_search import tune, with_preferred_order
 from ..noise.noise_model import resolve, warned, weighed
 from ..noise.posture_prior import learn_prior
-from .explained import explained_estimate
+from . import results
 from .results import Beliefs
 
 S = TypeVar("S", bound=Solution)
@@ -55,7 +55,8 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
         drifts(problem, solution), tuple(lost(problem, body.joints, solution)),
     )  # fmt: skip
-    return explained_estimate(settings.method, body, problem, start_problem, beliefs, settings)
+    found = results.estimate(settings.method, body, problem.evidence, problem.timeline, beliefs)
+    return results.with_lasting_error(found, problem, beliefs.z, settings)
 
 
 def gathered(features: Features, body: BodyModel, settings: Estimation) -> Problem:

@@ -1,20 +1,23 @@
 """From beliefs at instants to an Estimate: errors and predictions per sense, free energy per output, names, clocks."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ...body_model import BodyModel
-from ...types import Array, Estimate, Fault, Finding, Series
+from ...settings import Estimation
+from ...types import LASTING_ERROR, Array, Estimate, Fault, Finding, Series
 from ..inference.leave_one_out import projected
+from ..inference.problem import Problem
 from ..measurements.long_arrays import seen as seen_rows
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
+from ..noise.lasting_error import FrameBelief, find_lasting_error
 
-Place = tuple[Array, Array, Array]
-"""Of a sighting's frames: mean (F,D), covariance (F,D,D) without their own noise, and the model's variance (F,D)."""
+LEAST_NEES = 1.5
+"""Mean squared error over stated variance from which a lasting error is worth a warning: 2σ then covers 90 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +37,7 @@ class Beliefs:
     settings: Mapping[str, Any]
     faults: tuple[Fault, ...] = ()
     findings: tuple[Finding, ...] = ()
-    places: tuple[Place, ...] = ()
+    places: tuple[tuple[Array, Array, Array], ...] = ()
 
 
 def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, beliefs: Beliefs) -> Estimate:
@@ -64,6 +67,36 @@ def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, b
         {**beliefs.settings, **hypotheses},
         series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
         (*evidence.faults, *beliefs.faults), (*evidence.findings, *beliefs.findings),
+    )  # fmt: skip
+
+
+def with_lasting_error(found: Estimate, problem: Problem, z: Array, settings: Estimation) -> Estimate:
+    """The estimate with wider error bars and a warning where the log shows that its encoders' errors last.
+
+    z (E,K): beliefs at all instants. Angles stay as they are.
+    """
+    if settings.precision != "auto":
+        return found
+    m = len(problem.start)
+    offsets = z[:, 2 * m :] if z.shape[1] > 2 * m else np.zeros((len(z), m))
+    beliefs = [FrameBelief(z[at, :m], z[at, m : 2 * m], offsets[at]) for at in problem.timeline.sightings]
+    evidence = problem.evidence
+    lasting = find_lasting_error(evidence.encoders, evidence.sightings, beliefs, problem.precision.encoder)
+    if lasting is None:
+        return found
+    stated = np.einsum("nii->ni", found.cov)
+    nees = float(np.median((stated + lasting.std**2) / stated))
+    if nees < LEAST_NEES:
+        return found
+    own = {LASTING_ERROR: {**asdict(lasting), "nees_if_white": nees}}
+    text = (
+        f"encoders: errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad ({lasting.nats:.0f} nats, "
+        f"by images): play, load, a bent link or electronics; error bars of white noise are too small (NEES about "
+        f'{nees:.2g}) and are widened by it; see "What real arms do" in docs/validation.md'
+    )
+    return replace(
+        found, cov=found.cov + lasting.std**2 * np.eye(m), settings={**found.settings, **own},
+        findings=(*found.findings, Finding("warning", text)),
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from ..inference.problem import Problem
 from ..inference.scan import Keep, restart, scan
 from ..inference.silence import smoothed
 from ..inference.solution import Smooth, Solution, completed
-from .explained import explained_estimate
+from . import results
 from .filtering import drifts, gathered, kept, lost, settled, shown, tuned, with_repairs
 from .results import Beliefs
 
@@ -49,7 +49,8 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         precision.scale, precision.plain(), drifts(problem, smooth),
         tuple(lost(problem, body.joints, smooth)), found.places,
     )  # fmt: skip
-    return explained_estimate("smoother", body, problem, start_problem, beliefs, settings)
+    made = results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
+    return results.with_lasting_error(made, problem, beliefs.z, settings)
 
 
 def judged(problem: Problem, smooth: Smooth) -> Judged:

@@ -70,34 +70,6 @@ def corrected(features: Features, body: BodyModel, given: str | Mapping[str, flo
     return Corrected(shifted(features, delays), delays, errors, shown, unsure, findings, weighed)
 
 
-def reconsidered(
-    timely: Corrected, features: Features, body: BodyModel, given: str | Mapping[str, float],
-    left: Mapping[str, Mapping[str, float]],
-) -> Corrected | None:  # fmt: skip
-    """The delays anew where play or other errors of the hardware had been taken for a part of them; None if all stay.
-
-    left {camera: seconds, std, nats}: what is left of each delay with those errors accounted for.
-    """
-    fixed = fixed_delays(given, cameras([*features.tracks, *body.senses]))
-    free = {name: one for name, one in left.items() if name not in fixed}
-    if not free:
-        return None
-    delays, errors = dict(timely.delays), dict(timely.errors)
-    measured, weighed = dict(timely.measured), list(timely.hypotheses)
-    for name, one in free.items():
-        total = Delay(delays.pop(name, 0.0) + one["seconds"], one["std"])
-        errors.pop(name, None)
-        weighed.append(Hypothesis("camera late beside errors of joints", name, total.nats, NATS, significant(total)))
-        if significant(total):
-            delays[name], errors[name] = total.seconds, total.std_error
-        measured[name] = total if significant(total) else replace(total, doubt="joints' errors explain it")
-    unsure = {name: seconds for name, seconds in timely.unsure.items() if name not in free}
-    others = [one for one in timely.findings if one.text.partition(":")[0] not in free]
-    findings = (*others, *delay_findings({n: delays[n] for n in free if n in delays}, errors, {}, fixed))
-    shown = shifted(features, delays)
-    return Corrected(shown, delays, errors, measured, unsure, findings, tuple(weighed))
-
-
 def _reason(residual: Delay, is_fixed: bool) -> str:
     """Why the rest of a delay is not applied; "" if it is."""
     if is_fixed:
