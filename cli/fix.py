@@ -44,7 +44,7 @@ def fix(
     dataset: Path, out: Path, repeats: str, exclude: str, checked: Path | None, workers: int,
     urdf: str | None, common: Common, as_json: bool, **_typed: Any,
 ) -> int:  # fmt: skip
-    """Write a corrected LeRobot dataset, with what doctor says of it taken into account.
+    """Write a corrected copy of a LeRobot dataset.
 
     Images are paired with the rows that they show, by whole frames of the measured delays; episodes
     that stand out are left out and listed in meta/excluded.jsonl. The dataset itself stays as it

@@ -1,6 +1,7 @@
 """Copy and digest a log while it is in use: the same bytes, or nothing."""
 
 import errno
+import fcntl
 import hashlib
 import os
 import struct
@@ -229,7 +230,7 @@ def test_copy_shares_blocks_where_possible(log, tmp_path, monkeypatch):
         written.append(len(piece))
         plain(self, piece, at)
 
-    monkeypatch.setattr(background_copy.fcntl, "ioctl", shared)
+    monkeypatch.setattr(fcntl, "ioctl", shared)
     monkeypatch.setattr(background_copy._Target, "write", write)
     out, end = tmp_path / "out.mcap", log.stat().st_size - 5
     out.touch()
