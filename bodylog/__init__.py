@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 from .version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from .body.storage import load as load_body
-    from .config import load as load_settings
+    from .body.storage import load_body
+    from .config import load_settings
     from .errors import BodylogError
     from .estimation.live.estimator import Belief
     from .online import Estimator
@@ -24,8 +24,8 @@ _HOMES = {
     "BodylogError": ("errors", "BodylogError"),
     "Estimator": ("online", "Estimator"),
     "Settings": ("settings", "Settings"),
-    "load_body": ("body.storage", "load"),
-    "load_settings": ("config", "load"),
+    "load_body": ("body.storage", "load_body"),
+    "load_settings": ("config", "load_settings"),
 }
 """Where what is public stands, if not in the pipeline."""
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .body.kinematic.offsets import plain
+from .body.kinematic.offsets import offsets_as_values
 from .errors import ModelError, UsageError
 
 if TYPE_CHECKING:
@@ -17,52 +17,52 @@ if TYPE_CHECKING:
 FORMS = (".yaml", ".yml", ".json", ".urdf")
 
 
-def load(body: Path) -> "Calibration":
+def load_calibration(body: Path) -> "Calibration":
     """The calibration of a body file; ModelError where it was learned without a URDF."""
     from .body import storage
-    from .body.kinematic.placements import calibration
+    from .body.kinematic.placements import calibration_of_body
 
-    learned = storage.load(body)
+    learned = storage.load_body(body)
     try:
-        return calibration(learned)
+        return calibration_of_body(learned)
     except ModelError as problem:
         raise ModelError(f"{body}: {problem}") from problem
 
 
-def table(found: "Calibration") -> dict[str, Any]:
+def calibration_as_values(found: "Calibration") -> dict[str, Any]:
     """As plain values, in m, rad and px: {"cameras", "markers", "zeros", "scales", "earlier"}; None: not identifiable.
 
     earlier: where cameras and markers were before they moved between logs.
     """
     cameras = zip(found.cameras, found.lenses, strict=True)
     return {
-        "cameras": {camera_name(one.name): _pose(one) | _lens(lens) for one, lens in cameras},
-        "markers": {one.name: _pose(one) for one in found.markers},
-        "zeros": plain(found.zeros),
-        "scales": plain(found.scales),
-        "earlier": {one.name: _pose(one) for one in found.earlier},
+        "cameras": {camera_name_in_scores(one.name): _placement_as_values(one) | _lens_as_values(lens) for one, lens in cameras},
+        "markers": {one.name: _placement_as_values(one) for one in found.markers},
+        "zeros": offsets_as_values(found.zeros),
+        "scales": offsets_as_values(found.scales),
+        "earlier": {one.name: _placement_as_values(one) for one in found.earlier},
     }
 
 
-def camera_name(name: str) -> str:
+def camera_name_in_scores(name: str) -> str:
     """A camera's name as in the scores: that of its tracks, "camera" where they have no prefix."""
     return name.removeprefix("camera ")
 
 
-def _pose(one: "Placement") -> dict[str, Any]:
-    from .kinematics.rotations import quaternions
+def _placement_as_values(one: "Placement") -> dict[str, Any]:
+    from .kinematics.rotations import quaternions_from_rotations
 
     sure, turned = one.identifiable, one.identifiable and one.turns
     return {
         "link": one.link,
         "xyz_m": one.pose[:3, 3].tolist() if sure else None,
         "xyz_std_m": one.place_std.tolist(),
-        "quaternion_xyzw": quaternions(one.pose[None, :3, :3])[0].tolist() if turned else None,
+        "quaternion_xyzw": quaternions_from_rotations(one.pose[None, :3, :3])[0].tolist() if turned else None,
         "rotation_std_rad": one.turn_std.tolist() if one.turns else None,
     }
 
 
-def _lens(lens: "Lens") -> dict[str, Any]:
+def _lens_as_values(lens: "Lens") -> dict[str, Any]:
     return {
         "focal_px": lens.focal.tolist(),
         "focal_std_px": lens.focal_std.tolist(),
@@ -75,21 +75,21 @@ def _lens(lens: "Lens") -> dict[str, Any]:
     }
 
 
-def summary(model: "BodyModel") -> tuple[str, ...]:
+def summarise_placements(model: "BodyModel") -> tuple[str, ...]:
     """Where each camera and marker of a body is, a line each; empty where it was learned without a URDF."""
     from .body.kinematic.model import KinematicGP
-    from .body.kinematic.placements import calibration
+    from .body.kinematic.placements import calibration_of_body
 
     if model.surface is None and not any(isinstance(sense, KinematicGP) for sense in model.senses.values()):
         return ()
-    found = calibration(model)
+    found = calibration_of_body(model)
     texts = []
     for camera, lens in zip(found.cameras, found.lenses, strict=True):
-        texts.append(f"{next(placement_lines(camera))}, focal {_values(lens.focal, lens.focal_std, 1)} px")
+        texts.append(f"{next(placement_lines(camera))}, focal {_values_with_std(lens.focal, lens.focal_std, 1)} px")
     return (*texts, *(next(placement_lines(one)) for one in found.markers))
 
 
-def lines(found: "Calibration") -> Iterator[str]:
+def calibration_lines(found: "Calibration") -> Iterator[str]:
     """Yield the calibration in mm, degrees and px, with the transforms to type."""
     for camera, lens in zip(found.cameras, found.lenses, strict=True):
         yield from placement_lines(camera)
@@ -106,13 +106,13 @@ def placement_lines(one: "Placement") -> Iterator[str]:
     if not one.identifiable:
         yield f"{one.name} in {one.link}: not identifiable"
         return
-    yield f"{one.name} in {one.link}: {_values(1e3 * one.pose[:3, 3], 1e3 * one.place_std, 1)} mm"
+    yield f"{one.name} in {one.link}: {_values_with_std(1e3 * one.pose[:3, 3], 1e3 * one.place_std, 1)} mm"
     if one.turns:
         import numpy as np
 
-        from .kinematics.rotations import to_rpy
+        from .kinematics.rotations import rpy_from_rotation
 
-        angles = np.degrees(to_rpy(one.pose[:3, :3]))
+        angles = np.degrees(rpy_from_rotation(one.pose[:3, :3]))
         std = np.degrees(one.turn_std)
         texts = ", ".join(f"{value:.2f}" for value in angles)
         yield f"  roll, pitch, yaw {texts}°, ± {', '.join(f'{value:.2f}' for value in std)}° about x, y, z"
@@ -120,15 +120,15 @@ def placement_lines(one: "Placement") -> Iterator[str]:
 
 def lens_line(lens: "Lens") -> str:
     """A lens in px."""
-    focal = _values(lens.focal, lens.focal_std, 1)
-    centre = _values(lens.centre, lens.centre_std, 1)
-    text = f"focal {focal} px, centre {centre} px, k1, k2 {_values(lens.distortion, lens.distortion_std, 3)}"
+    focal = _values_with_std(lens.focal, lens.focal_std, 1)
+    centre = _values_with_std(lens.centre, lens.centre_std, 1)
+    text = f"focal {focal} px, centre {centre} px, k1, k2 {_values_with_std(lens.distortion, lens.distortion_std, 3)}"
     if lens.row_time is None or lens.row_time_std is None:
         return text
     return f"{text}, rows {1e3 * lens.row_time:.0f} ± {1e3 * lens.row_time_std:.0f} ms"
 
 
-def _values(values: Any, stds: Any, digits: int) -> str:
+def _values_with_std(values: Any, stds: Any, digits: int) -> str:
     pairs = zip(values.tolist(), stds.tolist(), strict=True)
     return ", ".join(f"{value:.{digits}f} ± {std:.{digits}f}" for value, std in pairs)
 
@@ -143,7 +143,7 @@ def zero_lines(found: "Sequence[Offset]") -> Iterator[str]:
 
 def transform_command(camera: "Placement") -> str:
     """The command that publishes a camera's pose to tf (ROS 2)."""
-    values = _pose(camera)
+    values = _placement_as_values(camera)
     place = zip("xyz", values["xyz_m"], strict=True)
     turn = zip(("qx", "qy", "qz", "qw"), values["quaternion_xyzw"], strict=True)
     numbers = " ".join(f"--{name} {value:.6f}" for name, value in (*place, *turn))
@@ -153,49 +153,49 @@ def transform_command(camera: "Placement") -> str:
 
 def optical_frame(camera: "Placement") -> str:
     """The name of a camera's optical frame beside its link."""
-    return f"{camera_name(camera.name).replace('/', '_')}_optical_frame"
+    return f"{camera_name_in_scores(camera.name).replace('/', '_')}_optical_frame"
 
 
-def write(found: "Calibration", out: Path, urdf: Path | None, values: Mapping[str, Any]) -> None:
+def write_calibration(found: "Calibration", out: Path, urdf: Path | None, values: Mapping[str, Any]) -> None:
     """Write plain values as YAML or JSON, or a URDF with cameras and zeros moved, by the file's suffix.
 
     UsageError for other suffixes.
     """
-    from .io.atomic_files import replacing
+    from .io.atomic_files import replace_atomically
 
     if out.suffix not in FORMS:
         raise UsageError(f"{out}: -o ends in {out.suffix!r}; possible: {', '.join(FORMS)}")
     if out.suffix == ".urdf" and urdf is None:
         raise UsageError(f"{out}: a URDF is written from one; type: --urdf ROBOT.urdf")
-    text = _corrected(found, urdf) if urdf is not None and out.suffix == ".urdf" else _table(values, out.suffix)
-    with replacing(out) as beside:
+    text = _corrected_urdf(found, urdf) if urdf is not None and out.suffix == ".urdf" else _values_as_text(values, out.suffix)
+    with replace_atomically(out) as beside:
         beside.write_text(text)
 
 
-def _table(values: Mapping[str, Any], suffix: str) -> str:
+def _values_as_text(values: Mapping[str, Any], suffix: str) -> str:
     if suffix == ".json":
         return json.dumps(values, indent=2) + "\n"
-    return "".join(f"{line}\n" for line in _yaml(values))
+    return "".join(f"{line}\n" for line in _yaml_lines(values))
 
 
-def _yaml(values: Mapping[str, Any], depth: int = 0, deepest: int = 1) -> Iterator[str]:
+def _yaml_lines(values: Mapping[str, Any], depth: int = 0, deepest: int = 1) -> Iterator[str]:
     """Yield lines of YAML: mappings to a depth, beyond it JSON, which is valid YAML."""
     for key, value in values.items():
         name = "  " * depth + (key if depth == 0 else json.dumps(key))
         if isinstance(value, Mapping) and value and depth < deepest:
             yield f"{name}:"
-            yield from _yaml(value, depth + 1, deepest)
+            yield from _yaml_lines(value, depth + 1, deepest)
         else:
             yield f"{name}: {json.dumps(value)}"
 
 
-def _corrected(found: "Calibration", urdf: Path) -> str:
+def _corrected_urdf(found: "Calibration", urdf: Path) -> str:
     from .kinematics import urdf as files
-    from .kinematics.corrected import Frame, corrected
+    from .kinematics.corrected import CameraFrame, correct_urdf
 
-    cameras = [Frame(one.link, optical_frame(one), one.pose) for one in found.cameras if one.identifiable]
+    cameras = [CameraFrame(one.link, optical_frame(one), one.pose) for one in found.cameras if one.identifiable]
     zeros = {one.joint: one.value for one in found.zeros if one.identifiable}
-    return corrected(files.text(urdf), str(urdf), zeros, cameras)
+    return correct_urdf(files.read_urdf_text(urdf), str(urdf), zeros, cameras)
 
 
 def without_cameras(found: "Calibration") -> "Calibration":
@@ -205,25 +205,25 @@ def without_cameras(found: "Calibration") -> "Calibration":
 
 def write_lenses(body: Path, found: "Calibration", folder: Path) -> tuple[Path, ...]:
     """Write each camera's lens as folder/CAMERA.yaml; UsageError where a body does not know the size of its images."""
-    from .io.atomic_files import ensure_dir, replacing
+    from .io.atomic_files import ensure_dir, replace_atomically
 
     texts = {}
     for camera, lens in zip(found.cameras, found.lenses, strict=True):
-        name = camera_name(camera.name).replace("/", "_")
+        name = camera_name_in_scores(camera.name).replace("/", "_")
         size = found.image_sizes.get(camera.name)
         if size is None:
             known = "tables of positions alone do not tell it; learn from images, or from a log with a CameraInfo"
             missing = "the size of its images is not known, and a CameraInfo needs it"
             raise UsageError(f"{body}: {camera.name}: {missing}; {known}")
-        texts[folder / f"{name}.yaml"] = camera_info(name, lens, size)
+        texts[folder / f"{name}.yaml"] = camera_info_yaml(name, lens, size)
     ensure_dir(folder)
     for path, text in texts.items():
-        with replacing(path) as beside:
+        with replace_atomically(path) as beside:
             beside.write_text(text)
     return tuple(texts)
 
 
-def camera_info(name: str, lens: "Lens", size: Sequence[int]) -> str:
+def camera_info_yaml(name: str, lens: "Lens", size: Sequence[int]) -> str:
     """A lens as ROS's camera_calibration_parsers read it: a CameraInfo in YAML, for images of (width, height) px."""
     fu, fv = lens.focal.tolist()
     cu, cv = lens.centre.tolist()
@@ -238,4 +238,4 @@ def camera_info(name: str, lens: "Lens", size: Sequence[int]) -> str:
     named = {key: {"rows": rows, "cols": cols, "data": data} for key, (rows, cols, data) in arrays.items()}
     width, height = size
     whole = {"image_width": width, "image_height": height, "camera_name": name, "distortion_model": "plumb_bob"}
-    return "".join(f"{line}\n" for line in _yaml({**whole, **named}))
+    return "".join(f"{line}\n" for line in _yaml_lines({**whole, **named}))

@@ -12,15 +12,15 @@ from .types import Array, Features, Finding
 
 if TYPE_CHECKING:
     from .body.kinematic.learn import Robotics
-    from .body.learning import Keep, Learned
+    from .body.learning import Keep, LearnedBody
     from .estimation.timing.gp_likelihood import Prior
     from .estimation.timing.regression import Delay
 
-TURNS = 5
+MAX_TURNS = 5
 """Most bodies learned, each from images corrected by the delays of the last one."""
-ALIKE = 4.0
+SHARED_DELAY_SIGMA = 4.0
 """Standard errors within which a log without a significant delay may share another log's."""
-BETTER = 0.95
+MAX_ERROR_RATIO = 0.95
 """Largest ratio of held-out errors after and before a correction; above it, the delay was the arm's shape."""
 
 Delays = Mapping[str, float]
@@ -30,16 +30,16 @@ Delays = Mapping[str, float]
 class _Turn:
     """A body learned from logs delayed by `late`, the delays left in each log, and the delays the body keeps."""
 
-    found: "Learned"
+    found: "LearnedBody"
     late: Sequence[Delays]
     residuals: "Sequence[Mapping[str, Delay]]"
     own: Delays
 
 
-def learned(
+def learn_with_delays(
     features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], known: BodyModel | None,
     robot: "Robotics | None" = None,
-) -> "Learned":  # fmt: skip
+) -> "LearnedBody":  # fmt: skip
     """Learn a body from features with each camera's delay corrected, as given or as measured in each log.
 
     The body keeps the delays of the logs with the smallest standard errors. UsageError for an unknown camera.
@@ -49,20 +49,20 @@ def learned(
 
     keep: Keep = "explained" if robot is None else "all"
     if all(found.poses for found in features):
-        found = body.learn(features, settings, provenance, known, keep)
+        found = body.learn_body(features, settings, provenance, known, keep)
         return body.with_kinematics(features, settings, found, robot, known)
-    cameras = correction.cameras([name for found in features for name in found.tracks])
+    cameras = correction.list_track_cameras([name for found in features for name in found.tracks])
     fixed = correction.fixed_delays(settings.time.delay, cameras)
-    turn, started = _converged(features, settings, provenance, known, keep, fixed)
-    timely = [correction.shifted(found, delays) for found, delays in zip(features, turn.late, strict=True)]
-    still_late = any(correction.significant(rest) for one in turn.residuals for rest in one.values())
+    turn, started = _alternate_until_converged(features, settings, provenance, known, keep, fixed)
+    timely = [correction.shift_features(found, delays) for found, delays in zip(features, turn.late, strict=True)]
+    still_late = any(correction.is_significant(rest) for one in turn.residuals for rest in one.values())
     # a late camera makes its tracks vague: the finding on the delay says so
     learned = replace(turn.found, vague={}) if still_late else turn.found
     found = body.with_kinematics(timely, settings, learned, robot, known)
     return replace(found, findings=(*_delay_findings(turn, fixed, started), *found.findings))
 
 
-def measured(features: Features, settings: Settings) -> "tuple[dict[str, Delay], dict[str, Delay]]":
+def measure_log_delays(features: Features, settings: Settings) -> "tuple[dict[str, Delay], dict[str, Delay]]":
     """Delays of a log's cameras relative to its encoders, by a body learned from the log itself.
 
     The second ones are unclear: their correction does not make the body better. EvidenceError without a body.
@@ -70,39 +70,39 @@ def measured(features: Features, settings: Settings) -> "tuple[dict[str, Delay],
     from .estimation.timing import correction
     from .estimation.timing.regression import Delay
 
-    start = _coarse(features)
+    start = _coarse_delays(features)
     try:
-        turn, started = _converged([correction.shifted(features, start)], settings, {}, None, "explained", {})
+        turn, started = _alternate_until_converged([correction.shift_features(features, start)], settings, {}, None, "explained", {})
     except EvidenceError:
         if not any(start.values()):
             raise
         start = {}
-        turn, started = _converged([features], settings, {}, None, "explained", {})
+        turn, started = _alternate_until_converged([features], settings, {}, None, "explained", {})
     found, unclear = dict[str, Delay](), dict[str, Delay]()
     for name, rest in turn.residuals[0].items():
         late = start.get(name, 0.0) + turn.late[0].get(name, 0.0) + rest.seconds
-        clear = name in started or not correction.significant(rest)
+        clear = name in started or not correction.is_significant(rest)
         (found if clear else unclear)[name] = Delay(late, rest.std_error)
     return found, unclear
 
 
-def _coarse(features: Features) -> dict[str, float]:
+def _coarse_delays(features: Features) -> dict[str, float]:
     """Delays (s) by camera to start from, to about 0.05 s; 0 where they are unclear."""
     import numpy as np
 
-    from .estimation.measurements.gather import camera
+    from .estimation.measurements.gather import camera_of_track
     from .perception.tracking import joint_motion
 
     found = dict[str, list[float]]()
     for name, track in features.tracks.items():
         seen = np.isfinite(track.values).all(axis=1)
         if name.rpartition("/")[2] != "hand" and seen.sum() > 1 and features.picture_size is not None:
-            late = joint_motion.delay(features.joints, track.t[seen], track.values[seen], features.picture_size[0])
-            found.setdefault(camera(name), []).append(late)
+            late = joint_motion.camera_delay_s(features.joints, track.t[seen], track.values[seen], features.picture_size[0])
+            found.setdefault(camera_of_track(name), []).append(late)
     return {name: float(np.median(late)) for name, late in found.items()}
 
 
-def _converged(
+def _alternate_until_converged(
     features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], known: BodyModel | None,
     keep: "Keep", fixed: Delays,
 ) -> tuple[_Turn, set[str]]:  # fmt: skip
@@ -111,21 +111,21 @@ def _converged(
     from .estimation.timing import correction
 
     def turned(late: Sequence[Delays], own: Delays) -> _Turn:
-        timely = [correction.shifted(found, delays) for found, delays in zip(features, late, strict=True)]
+        timely = [correction.shift_features(found, delays) for found, delays in zip(features, late, strict=True)]
         origin = {**provenance, **({"delay": dict(own)} if own else {})}
-        found = body.learn(timely, settings, origin, known, keep)
+        found = body.learn_body(timely, settings, origin, known, keep)
         sure = replace(found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor})
         return _Turn(found, late, [_remaining_delays(one, sure, known) for one in timely], own)
 
     own = {} if known is None else {k: v for k, v in correction.learned_delays(known).items() if k not in fixed}
     started, given = set[str](), {name: delay for name, delay in fixed.items() if delay}
     turn = turned([{**own, **fixed} for _ in features], {**own, **given})
-    for _ in range(TURNS - 1):
-        surest = _surest(turn.residuals, fixed, started)
+    for _ in range(MAX_TURNS - 1):
+        surest = _surest_logs(turn.residuals, fixed, started)
         if not surest:
             break
-        after, least = turned(*_stepped(turn, surest)), BETTER if set(surest) - started else 1.0
-        if _missed(after, surest) > least * _missed(turn, surest):
+        after, least = turned(*_add_measured_delays(turn, surest)), MAX_ERROR_RATIO if set(surest) - started else 1.0
+        if _held_out_error(after, surest) > least * _held_out_error(turn, surest):
             break
         turn, started = after, started | set(surest)
     return turn, started
@@ -141,21 +141,21 @@ def _delay_findings(turn: _Turn, fixed: Delays, started: set[str]) -> Iterator[F
             yield replace(finding, text=f"log {k + 1}: {finding.text}") if len(turn.late) > 1 else finding
 
 
-def _stepped(turn: _Turn, surest: Mapping[str, int]) -> tuple[Sequence[Delays], Delays]:
+def _add_measured_delays(turn: _Turn, surest: Mapping[str, int]) -> tuple[Sequence[Delays], Delays]:
     """The logs' delays and the body's, with this turn's measurements added."""
     late = [dict(delays) for delays in turn.late]
     for name, at in surest.items():
         for delays, residual in zip(late, turn.residuals, strict=True):
-            delays[name] = round(delays.get(name, 0.0) + _own(residual.get(name), turn.residuals[at][name]), 6)
+            delays[name] = round(delays.get(name, 0.0) + _step_of_log(residual.get(name), turn.residuals[at][name]), 6)
     return late, {**turn.own, **{name: late[at][name] for name, at in surest.items()}}
 
 
-def _missed(turn: _Turn, cameras: Iterable[str]) -> float:
+def _held_out_error(turn: _Turn, cameras: Iterable[str]) -> float:
     """Root mean square held-out error (px) of some cameras' tracks together."""
-    from .estimation.measurements.gather import camera
+    from .estimation.measurements.gather import camera_of_track
 
     kinds = (score.name.partition("rmse/held_out/") for score in turn.found.scores)
-    seen = [found and camera(track) in cameras for _, found, track in kinds]
+    seen = [found and camera_of_track(track) in cameras for _, found, track in kinds]
     return sqrt(sum(score.value**2 for score, counts in zip(turn.found.scores, seen, strict=True) if counts))
 
 
@@ -170,48 +170,48 @@ def _remaining_delays(timely: Features, model: BodyModel, known: BodyModel | Non
     if encoders is None:
         return {}
     found = {
-        name: gp_likelihood.measured(encoders, some, [_prior(one.model) for one in some]) for name, some in seen.items()
+        name: gp_likelihood.measure_delay_by_likelihood(encoders, some, [_process_prior(one.model) for one in some]) for name, some in seen.items()
     }
     return {name: delay for name, delay in found.items() if delay is not None}
 
 
-def _prior(model: ForwardModel) -> "Prior":
+def _process_prior(model: ForwardModel) -> "Prior":
     """The prior of a learned Gaussian process."""
     import numpy as np
 
-    from .body.gp.model import GP, se
+    from .body.gp.model import GP, se_kernel
 
     assert isinstance(model, GP)
 
     def prior(x: Array) -> tuple[Array, Array]:
         groups = zip(model.scales, model.amplitude, strict=True)
-        kernels = [se(x / scales, x / scales, amplitude) for scales, amplitude in groups]
+        kernels = [se_kernel(x / scales, x / scales, amplitude) for scales, amplitude in groups]
         outputs = range(len(model.mean))
         return model.mean, np.stack([model.share[d] * kernels[d if len(kernels) > 1 else 0] for d in outputs])
 
     return prior
 
 
-def _surest(residuals: Sequence[Mapping[str, "Delay"]], fixed: Delays, started: set[str]) -> dict[str, int]:
+def _surest_logs(residuals: Sequence[Mapping[str, "Delay"]], fixed: Delays, started: set[str]) -> dict[str, int]:
     """The log with the smallest error of each camera with a delay, significant unless the camera is `started`."""
-    from .estimation.faults.threshold import LATE
+    from .estimation.faults.threshold import MIN_DELAY_S
     from .estimation.timing import correction
 
     found = {}
     for name in sorted({name for residual in residuals for name in residual} - set(fixed)):
-        least = 0.0 if name in started else LATE
+        least = 0.0 if name in started else MIN_DELAY_S
         known = [k for k, residual in enumerate(residuals) if name in residual]
-        if late := [k for k in known if correction.significant(residuals[k][name], least)]:
+        if late := [k for k in known if correction.is_significant(residuals[k][name], least)]:
             found[name] = min(late, key=lambda k: residuals[k][name].std_error)
     return found
 
 
-def _own(residual: "Delay | None", surest: "Delay") -> float:
+def _step_of_log(residual: "Delay | None", surest: "Delay") -> float:
     """A log's own step (s), or that of the surest log if its own is not significant but consistent."""
     from .estimation.timing import correction
 
-    if residual is not None and correction.significant(residual):
+    if residual is not None and correction.is_significant(residual):
         return residual.seconds
-    if residual is None or abs(residual.seconds - surest.seconds) < ALIKE * (residual.std_error + surest.std_error):
+    if residual is None or abs(residual.seconds - surest.seconds) < SHARED_DELAY_SIGMA * (residual.std_error + surest.std_error):
         return surest.seconds
     return 0.0

@@ -6,43 +6,43 @@ from math import degrees, nan
 from typing import TYPE_CHECKING
 
 from .body_model import BodyModel
-from .evaluation.figures import FIRST
-from .settings import Estimation
-from .types import EITHER, Estimate, Fault, Features, Finding, Series
+from .evaluation.figures import OFF_FROM_START_S
+from .settings import EstimationSettings
+from .types import ALTERNATIVE_SEPARATOR, Estimate, Fault, Features, Finding, Series
 
 if TYPE_CHECKING:
     from .body.kinematic.change import Change
 
 OFFSETS = ("drifting", "offset")
 """Names of constant offsets in the filters' faults, and in those of still poses."""
-APART = 3.0
+DIFFERING_SIGMA = 3.0
 """Standard deviations by which two sizes of one offset must differ, in addition to a tenth of it."""
 
 
-def compared(features: Features, body: BodyModel, found: Estimate, settings: Estimation) -> Estimate:
+def compare_changes_with_faults(features: Features, body: BodyModel, found: Estimate, settings: EstimationSettings) -> Estimate:
     """Add changes of joint zeros, cameras and markers to the estimate's faults.
 
     Without effect for a body learned without a URDF, and with `bias = "off"`.
     """
-    from .body.kinematic.model import comparable
+    from .body.kinematic.model import can_show_changes
 
-    if settings.bias == "off" or not comparable(body):
+    if settings.bias == "off" or not can_show_changes(body):
         return found
     from .body.kinematic import change
 
-    changes = change.changes(_usable(features, found), body)
-    faults, findings = merged(changes, found)
+    changes = change.find_changes(_usable_tracks(features, found), body)
+    faults, findings = merge_changes_and_faults(changes, found)
     return replace(found, faults=faults, findings=(*found.findings, *findings))
 
 
-def _usable(features: Features, found: Estimate) -> Features:
+def _usable_tracks(features: Features, found: Estimate) -> Features:
     """Used tracks with corrected times, up to the first fault that is not a constant encoder offset."""
     from .estimation.timing import correction
 
     delays = found.settings.get("delay", {})
-    timely = correction.shifted(features, delays) if isinstance(delays, Mapping) else features
-    seen = [fault.since for fault in found.faults if fault.sense == "vision" and fault.since >= FIRST]
-    later = [fault.since for fault in found.faults if fault.sense == "encoders" and not _constant(fault)] + seen
+    timely = correction.shift_features(features, delays) if isinstance(delays, Mapping) else features
+    seen = [fault.since for fault in found.faults if fault.sense == "vision" and fault.since >= OFF_FROM_START_S]
+    later = [fault.since for fault in found.faults if fault.sense == "encoders" and not _is_constant_offset(fault)] + seen
     end = min(later, default=float("inf"))
     tracks = {}
     for name, track in timely.tracks.items():
@@ -54,38 +54,38 @@ def _usable(features: Features, found: Estimate) -> Features:
     return replace(timely, tracks=tracks)
 
 
-def _constant(fault: Fault) -> bool:
+def _is_constant_offset(fault: Fault) -> bool:
     """Whether a fault is an encoder's offset from the start on."""
-    return fault.sense == "encoders" and fault.kind in OFFSETS and fault.since < FIRST
+    return fault.sense == "encoders" and fault.kind in OFFSETS and fault.since < OFF_FROM_START_S
 
 
-def merged(changes: "Sequence[Change]", found: Estimate) -> tuple[tuple[Fault, ...], tuple[Finding, ...]]:
+def merge_changes_and_faults(changes: "Sequence[Change]", found: Estimate) -> tuple[tuple[Fault, ...], tuple[Finding, ...]]:
     """Merge the estimate's faults with the changes, and return a remark on each."""
     start = float(found.joints.t[0]) if len(found.joints.t) else 0.0
-    own, findings = [_fault(one, start) for one in changes], list[Finding]()
+    own, findings = [_change_as_fault(one, start) for one in changes], list[Finding]()
     kept = []
     for fault in found.faults:
-        same = next((one for one in own if _names(one) & _names(fault) and one.sense == "encoders"), None)
+        same = next((one for one in own if _alternative_names(one) & _alternative_names(fault) and one.sense == "encoders"), None)
         moved = next((one for one in own if one.sense == "vision"), None)
-        if not _constant(fault) or (same is None and moved is None):
+        if not _is_constant_offset(fault) or (same is None and moved is None):
             kept.append(fault)
         elif same is None and moved is not None:
             text = f"{moved.name} explains the filter's offset of {fault.name} ({fault.size:.4g} rad) better"
             findings.append(Finding("info", text))
         elif same is not None:
-            findings += _differing(same, fault)
-    findings += [Finding("info", _worth(one)) for one in changes]
+            findings += _differing_size_findings(same, fault)
+    findings += [Finding("info", _describe_change(one)) for one in changes]
     lasting = {fault.name for fault in kept if fault.sense == "encoders"}
-    return (*kept, *(one for one in own if not _names(one) & lasting)), tuple(findings)
+    return (*kept, *(one for one in own if not _alternative_names(one) & lasting)), tuple(findings)
 
 
-def _names(fault: Fault) -> set[str]:
-    return set(fault.name.split(EITHER))
+def _alternative_names(fault: Fault) -> set[str]:
+    return set(fault.name.split(ALTERNATIVE_SEPARATOR))
 
 
-def _fault(one: "Change", start: float) -> Fault:
+def _change_as_fault(one: "Change", start: float) -> Fault:
     """The change as a fault; an encoder's offset has the opposite sign of its joint's zero."""
-    name = EITHER.join((one.name, *one.alternatives))
+    name = ALTERNATIVE_SEPARATOR.join((one.name, *one.alternatives))
     since = start if one.since is None else one.since
     if one.kind == "joint":
         size, std = (nan, None) if one.alternatives else (-float(one.value[0]), float(one.std[0]))
@@ -99,16 +99,16 @@ def _fault(one: "Change", start: float) -> Fault:
     return Fault("vision", name, "moved", since, one.shift[0], "m", one.shift[1], *(one.turn or ()))
 
 
-def _differing(same: Fault, fault: Fault) -> Iterable[Finding]:
+def _differing_size_findings(same: Fault, fault: Fault) -> Iterable[Finding]:
     """Yield a remark where the filter's size of an offset differs."""
     if same.std is None or fault.size != fault.size:
         return
-    if abs(same.size - fault.size) > APART * same.std + 0.1 * abs(same.size):
+    if abs(same.size - fault.size) > DIFFERING_SIGMA * same.std + 0.1 * abs(same.size):
         by_body = f"relative to the body's zeros {same.size:.4g} ± {same.std:.2g} rad"
         yield Finding("info", f"{same.name}: by the filter its offset is {fault.size:.4g} rad, {by_body}")
 
 
-def _worth(one: "Change") -> str:
+def _describe_change(one: "Change") -> str:
     """A change in words, with the evidence for it."""
     sure = f"{one.nats:.0f} nats likelier than no change"
     if one.kind == "joint":

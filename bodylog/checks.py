@@ -9,28 +9,28 @@ from pathlib import Path
 from .body_model import BodyModel
 from .errors import ConfigError, EvidenceError, InputError, LogError, ModelError
 from .io.atomic_files import require_regular
-from .io.outputs import Output, guard
+from .io.outputs import Output, guard_outputs
 from .robot_model import UNUSABLE_URDF
-from .settings import Colours, Settings
+from .settings import ColourSettings, Settings
 from .sources import TableSource, feature_of, group_of
 from .types import Features, Finding, Health, Recording
-from .wording import listed
+from .wording import list_in_words
 
 
-def distinct(read: Sequence[Path], write: Iterable[Output], settings: Settings | None = None) -> None:
+def require_distinct_paths(read: Sequence[Path], write: Iterable[Output], settings: Settings | None = None) -> None:
     """UsageError when an output is an input, or a video that the settings name; LogError when an input is a pipe."""
     for one in read:
         require_regular(one)
-    guard([*read, *(() if settings is None else named_files(read, settings))], write)
+    guard_outputs([*read, *(() if settings is None else named_files(read, settings))], write)
 
 
 def named_files(logs: Iterable[Path], settings: Settings) -> Iterator[Path]:
     """Files read along with these logs: videos and tables that the settings name, images of poses."""
     from .logs.datasets.tables import table_beside
     from .logs.tables.pose_log import image_files
-    from .recording.cameras import is_video
+    from .recording.cameras import is_video_source
 
-    videos = [name for name in settings.topics.cameras if is_video("camera", name)]
+    videos = [name for name in settings.topics.cameras if is_video_source("camera", name)]
     tables = (source.table for source in settings.features.values() if isinstance(source, TableSource))
     logs = tuple(logs)
     for name in (*videos, *tables):
@@ -63,16 +63,16 @@ def require_sights(logs: Sequence[Path], observed: Sequence[tuple[Recording, Fea
         return
     read, found = observed[0]
     with log_context(logs[0], read.findings, len(logs) - 1):
-        what = f"no images and no tracks in it, only {_joints(found)}"
+        what = f"no images and no tracks in it, only {_describe_joints(found)}"
         learned_from = "a body is learned from joints and what a camera sees of the arm"
         raise EvidenceError(f"{what}; {learned_from}{_sights_to_add(logs[0], read)}")
 
 
-def _joints(found: Features) -> str:
+def _describe_joints(found: Features) -> str:
     assert found.joints is not None
     names, times = found.joints.names, found.joints.t
     length = f"in {len(times)} poses" if found.poses else f"for {times[-1] - times[0]:.1f} s"
-    return f"{len(names)} joint{'s' * (len(names) != 1)} ({listed(names)}) {length}"
+    return f"{len(names)} joint{'s' * (len(names) != 1)} ({list_in_words(names)}) {length}"
 
 
 def _sights_to_add(log: Path, read: Recording) -> str:
@@ -90,7 +90,7 @@ def _sights_to_add(log: Path, read: Recording) -> str:
     return f": record a camera's topic too, or name a video beside the log, {film}; {alone}"
 
 
-def to_learn(features: Sequence[Features], settings: Settings) -> list[Features]:
+def select_features_to_learn(features: Sequence[Features], settings: Settings) -> list[Features]:
     """The features without the tracks named in [fit] without; ConfigError for a name without a track."""
     left = set(settings.fit.without)
     tracks = sorted({name for one in features for name in one.tracks})
@@ -112,7 +112,7 @@ def require_tracks(
     log: Path, used_of: Mapping[str, Health], features: Features, settings: Settings, instead: str = ""
 ) -> None:
     """EvidenceError when a feature that robot.toml names, or whose camera it names, was never seen."""
-    configured = {"effector": settings.colours.effector != Colours().effector}
+    configured = {"effector": settings.colours.effector != ColourSettings().effector}
     configured |= dict.fromkeys(settings.colours.markers, True)
     configured |= dict.fromkeys(settings.features, True)
     some = {group_of(name) for name, used in used_of.items() if used.used}
@@ -125,31 +125,31 @@ def require_tracks(
             raise EvidenceError(f"{log}: {reason}{instead.format(name)}")
 
 
-def same_camera(log: Path, learned: Iterable[str], read: Recording, features: Features) -> tuple[Finding, ...]:
+def require_same_camera(log: Path, learned: Iterable[str], read: Recording, features: Features) -> tuple[Finding, ...]:
     """ModelError when the log's first camera is not the body's first although the log has that one.
 
     A finding when it has another name; () when the cameras of body or log are unknown.
     """
-    from .recording.cameras import camera_name
+    from .recording.cameras import camera_name_of_source
 
     known, here = ([str(topic) for topic in topics] for topics in (learned, features.cameras.values()))
-    if not known or not here or camera_name(known[0]) == camera_name(here[0]):
+    if not known or not here or camera_name_of_source(known[0]) == camera_name_of_source(here[0]):
         return ()
     text = f"camera: {here[0]} comes first here, {known[0]} where the body was learned"
-    there = {camera_name(name) for name in (*here, *(topic.name for topic in read.topics))}
-    if camera_name(known[0]) in there or camera_name(here[0]) in map(camera_name, known):
+    there = {camera_name_of_source(name) for name in (*here, *(topic.name for topic in read.topics))}
+    if camera_name_of_source(known[0]) in there or camera_name_of_source(here[0]) in map(camera_name_of_source, known):
         advice = json.dumps(known if len(known) > 1 else known[0])
         raise ModelError(f"{log}: {text}; type: [topics] camera = {advice}, for the log as it was recorded")
     return (Finding("info", text),)
 
 
-def same_size(log: Path, learned: BodyModel, features: Features, settings: Settings) -> None:
+def require_same_size(log: Path, learned: BodyModel, features: Features, settings: Settings) -> None:
     """ModelError when the images used are not as wide as those the body was learned from."""
-    from .estimation.measurements.gather import chosen
+    from .estimation.measurements.gather import choose_senses
 
     size, width = features.picture_size, learned.provenance.get("image_width")
     visual = [name for name in features.tracks if name in learned.senses and "/" not in name]
-    if size and width and size[0] != round(width) and chosen(visual, learned, settings.estimate).intersection(visual):
+    if size and width and size[0] != round(width) and choose_senses(visual, learned, settings.estimate).intersection(visual):
         raise ModelError(
             f"{log}: camera: images are {size[0]} px wide, {width:g} px where the body was learned; fit a body from "
             f"a log of {size[0]} px, or go on with the rest: --without vision,touch"

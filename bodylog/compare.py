@@ -7,19 +7,19 @@ from itertools import combinations
 from pathlib import Path
 
 from .body_model import BodyModel
-from .checks import log_context, loss_note, same_camera, same_size
-from .default_features import of_body
+from .checks import log_context, loss_note, require_same_camera, require_same_size
+from .default_features import features_of_body
 from .errors import EvidenceError, InputError, UsageError
 from .fault_findings import fault_warnings
 from .logs.protocol import Progress
 from .pipeline import infer, observe
 from .scoring import score_estimate
-from .settings import Estimation, Settings
+from .settings import EstimationSettings, Settings
 from .types import Features, Finding, Recording, Score
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class ComparisonRow:
     """One line of a comparison: method, senses, scores, CPU time (s), warnings."""
 
     method: str
@@ -29,14 +29,14 @@ class Row:
     findings: tuple[Finding, ...] = ()
 
 
-def compare(
+def compare_methods(
     log: Path,
     body: Path,
     settings: Settings,
     progress: Progress | None = None,
-    done: Callable[[Row], None] | None = None,
+    done: Callable[[ComparisonRow], None] | None = None,
     full: bool = False,
-) -> tuple[list[Row], tuple[Finding, ...]]:
+) -> tuple[list[ComparisonRow], tuple[Finding, ...]]:
     """Run every method with the encoders and each subset of the log's other senses.
 
     Each also predicts withheld images. full: subsets without the encoders too · `done` gets each row at once.
@@ -45,53 +45,53 @@ def compare(
     """
     from .body import storage
 
-    learned = storage.load(body)
+    learned = storage.load_body(body)
     if learned.surface is not None:
         raise UsageError(f"{body}: a body of the robot's surface has no sense to compare; type: bodylog estimate {log}")
-    settings = of_body(learned, settings)
+    settings = features_of_body(learned, settings)
     read, features = observe(log, settings, progress)
-    cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
-    same_size(log, learned, features, settings)
+    cameras = require_same_camera(log, learned.provenance.get("cameras", ()), read, features)
+    require_same_size(log, learned, features, settings)
     with log_context(log, read.findings):
-        combined, silent = subsets(features, learned, settings.estimate)
+        combined, silent = list_sense_subsets(features, learned, settings.estimate)
     if not combined:
         why = f"no sense of {body} has readings in it; type: bodylog info {log}"
         raise EvidenceError(f"{log}: {why}{loss_note(log, read.findings)}")
-    rows: list[Row] = []
+    rows: list[ComparisonRow] = []
     refused: dict[str, InputError | UsageError] = {}
-    kept = combined if full else usual(combined)
-    for asked in _asked(settings, kept, silent):
+    kept = combined if full else select_usual_subsets(combined)
+    for asked in _list_run_settings(settings, kept, silent):
         try:
-            rows.append(_row(features, learned, asked, read))
+            rows.append(_run_one_method(features, learned, asked, read))
         except (InputError, UsageError) as problem:
-            refused[_label(asked.estimate.method, asked.estimate.senses or ())] = problem
+            refused[_run_label(asked.estimate.method, asked.estimate.senses or ())] = problem
             continue
         if done is not None:
             done(rows[-1])
     if refused and not rows:
         with log_context(log, read.findings):
             raise next(iter(refused.values()))
-    return rows, (*read.findings, *features.findings, *cameras, *_labelled(rows, refused), *_left_out(combined, kept))
+    return rows, (*read.findings, *features.findings, *cameras, *_label_findings(rows, refused), *_skipped_findings(combined, kept))
 
 
-def usual(combined: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+def select_usual_subsets(combined: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
     """The subsets with encoders, where the log has any: without them, each run searches for the arm for seconds."""
     return [senses for senses in combined if "encoders" in senses] or combined
 
 
-def _left_out(combined: Sequence[tuple[str, ...]], kept: Sequence[tuple[str, ...]]) -> list[Finding]:
+def _skipped_findings(combined: Sequence[tuple[str, ...]], kept: Sequence[tuple[str, ...]]) -> list[Finding]:
     left = [",".join(senses) for senses in combined if senses not in kept]
     return [Finding("info", f"without encoders not run: {'; '.join(left)}; add --all")] if left else []
 
 
-def subsets(features: Features, body: BodyModel, settings: Estimation) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:
+def list_sense_subsets(features: Features, body: BodyModel, settings: EstimationSettings) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:
     """Every non-empty subset of the senses that are allowed and have readings, all of them first.
 
     Also the excluded joints and tracks. UsageError if the settings name an unknown one.
     """
-    from .estimation.measurements.gather import chosen, gather
+    from .estimation.measurements.gather import choose_senses, gather_measurements
 
-    used = gather(features, body, settings).used
+    used = gather_measurements(features, body, settings).used
     felt = features.touches and features.synchrony and features.hand is not None
     present = {
         "encoders": used["encoders"].used > 0,
@@ -101,11 +101,11 @@ def subsets(features: Features, body: BodyModel, settings: Estimation) -> tuple[
     here = [name for name, there in present.items() if there]
     rows = [some for size in range(len(here), 0, -1) for some in combinations(here, size)]
     visual = [name for name in features.tracks if name in body.senses]
-    wanted = chosen(visual, body, settings)
+    wanted = choose_senses(visual, body, settings)
     return rows, tuple(name for name in (*body.joints, *visual) if name not in wanted)
 
 
-def _asked(settings: Settings, combined: Sequence[tuple[str, ...]], silent: tuple[str, ...]) -> Iterator[Settings]:
+def _list_run_settings(settings: Settings, combined: Sequence[tuple[str, ...]], silent: tuple[str, ...]) -> Iterator[Settings]:
     """Every method with every subset of the senses that it can use, as settings."""
     from .estimation import METHODS
 
@@ -116,30 +116,30 @@ def _asked(settings: Settings, combined: Sequence[tuple[str, ...]], silent: tupl
                 yield replace(settings, estimate=asked)
 
 
-def _row(features: Features, learned: BodyModel, settings: Settings, read: Recording) -> Row:
-    from .evaluation.heldout import held_out, withhold
+def _run_one_method(features: Features, learned: BodyModel, settings: Settings, read: Recording) -> ComparisonRow:
+    from .evaluation.heldout import score_withheld_frames, withhold_frames
 
-    fewer, withheld = withhold(features)
+    fewer, withheld = withhold_frames(features)
     # first, so that the timed run finds everything imported and in memory
-    heldout = held_out(infer(fewer, learned, settings), withheld, learned)
+    heldout = score_withheld_frames(infer(fewer, learned, settings), withheld, learned)
     started = time.process_time()
     found = infer(features, learned, settings)
     seconds = time.process_time() - started
     warnings = (*(f for f in found.findings if f.severity != "info"), *fault_warnings(found.faults))
     asked = settings.estimate
-    return Row(asked.method, asked.senses or (), (*score_estimate(found, read), *heldout), seconds, warnings)
+    return ComparisonRow(asked.method, asked.senses or (), (*score_estimate(found, read), *heldout), seconds, warnings)
 
 
-def _labelled(rows: Sequence[Row], refused: Mapping[str, Exception]) -> list[Finding]:
+def _label_findings(rows: Sequence[ComparisonRow], refused: Mapping[str, Exception]) -> list[Finding]:
     """The rows' findings, each once, with the labels of its rows."""
     labels_of: dict[Finding, list[str]] = {}
     for row in rows:
         for finding in row.findings:
-            labels_of.setdefault(finding, []).append(_label(row.method, row.senses))
+            labels_of.setdefault(finding, []).append(_run_label(row.method, row.senses))
     for label, problem in refused.items():
         labels_of.setdefault(Finding("warning", str(problem)), []).append(label)
     return [Finding(finding.severity, f"{'; '.join(labels)}: {finding.text}") for finding, labels in labels_of.items()]
 
 
-def _label(method: str, senses: Sequence[str]) -> str:
+def _run_label(method: str, senses: Sequence[str]) -> str:
     return f"{method} {','.join(senses)}"

@@ -10,32 +10,32 @@ from .body_model import BodyModel
 from .errors import ConfigError
 from .io.toml_keys import toml_value
 from .io.values import read_json
-from .settings import Colours, Settings
-from .sources import Source, check_colour, parse, spelled
+from .settings import ColourSettings, Settings
+from .sources import Source, check_colour, parse_source, source_as_value
 from .types import Features, Finding, Recording
 
 if TYPE_CHECKING:
-    from .perception import Survey
+    from .perception import FeatureSurvey
 
 
 _NAMED = 6
-_DEFAULTS = {"effector": Colours().effector, "hand": Colours().hand}
+_DEFAULTS = {"effector": ColourSettings().effector, "hand": ColourSettings().hand}
 
 
-def unconfigured(settings: Settings) -> bool:
+def has_no_features(settings: Settings) -> bool:
     """Whether neither [features] nor [colours] configures a feature."""
-    return not settings.features and replace(settings.colours, fast=False) == Colours()
+    return not settings.features and replace(settings.colours, fast=False) == ColourSettings()
 
 
-def of_body(learned: BodyModel, settings: Settings) -> Settings:
+def features_of_body(learned: BodyModel, settings: Settings) -> Settings:
     """The settings; without configured features, with those that the body was learned with."""
-    if not unconfigured(settings):
+    if not has_no_features(settings):
         return settings
     stored: Any = {}
     with suppress(ValueError, KeyError, TypeError):
         stored = read_json(learned.provenance["settings"])
     with suppress(ConfigError, AttributeError, TypeError):
-        features = {str(name): parse(str(name), value, "body") for name, value in stored.get("features", {}).items()}
+        features = {str(name): parse_source(str(name), value, "body") for name, value in stored.get("features", {}).items()}
         colours = stored.get("colours", {})
         effector, hand = (check_colour(colours.get(key, default), key) for key, default in _DEFAULTS.items())
         named = colours.get("markers", colours.get("shapes", {}))  # older bodies: shapes
@@ -45,12 +45,12 @@ def of_body(learned: BodyModel, settings: Settings) -> Settings:
     return settings
 
 
-def of_log(read: Recording, settings: Settings) -> Settings:
+def features_of_log(read: Recording, settings: Settings) -> Settings:
     """The settings; without configured features, with those tracked in a log."""
-    return replace(settings, features=read.settings.features) if unconfigured(settings) else settings
+    return replace(settings, features=read.settings.features) if has_no_features(settings) else settings
 
 
-def guessed(
+def search_again_without_default(
     log: Path, read: Recording, found: Features, settings: Settings, look: Callable[[Recording, Settings], Features]
 ) -> tuple[Recording, Features]:
     """A recording and its features, searched again if the default colour is not on the arm.
@@ -60,20 +60,20 @@ def guessed(
     from .perception import find_alternative
 
     carried = read.tracks or (read.features and read.features.tracks)
-    other = find_alternative(read, found, settings) if unconfigured(read.settings) and not carried else None
+    other = find_alternative(read, found, settings) if has_no_features(read.settings) and not carried else None
     if other is None:
         return read, found
-    chosen, findings = _chosen(str(log), other.why, other.survey, settings)
+    chosen, findings = _choose_effector(str(log), other.why, other.survey, settings)
     if chosen.features:
         read = replace(read, settings=replace(read.settings, features=chosen.features), consumed=None)
         found = look(read, chosen)
     return read, replace(found, findings=(*findings, *found.findings))
 
 
-def _chosen(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[Settings, tuple[Finding, ...]]:
+def _choose_effector(log: str, why: str, survey: "FeatureSurvey", settings: Settings) -> tuple[Settings, tuple[Finding, ...]]:
     """The settings with an effector that moves with the joints, and findings about it and the others."""
     rest = [one for one in survey.candidates if one is not survey.arm and one.seen]
-    others = _grouped([(one.name, one.why or "also moves as the joints do") for one in rest])
+    others = _group_by_reason([(one.name, one.why or "also moves as the joints do") for one in rest])
     default = f"effector: {settings.colours.effector} is not the arm's: {why}"
     if survey.arm is None:
         text = f"{default}; nothing else moves as the joints do; in view: {others}; "
@@ -87,7 +87,7 @@ def _chosen(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[S
     return replace(settings, features={"effector": arm.source}), findings
 
 
-def _grouped(named: Sequence[tuple[str, str]]) -> str:
+def _group_by_reason(named: Sequence[tuple[str, str]]) -> str:
     """Names grouped by reason; of many names the first few."""
     by_reason: dict[str, list[str]] = {}
     for name, why in named:
@@ -98,4 +98,4 @@ def _grouped(named: Sequence[tuple[str, str]]) -> str:
 
 def toml_line(name: str, source: Source) -> str:
     """The line of [features] that names a source."""
-    return f"{name} = {toml_value(spelled(source))}"
+    return f"{name} = {toml_value(source_as_value(source))}"

@@ -9,61 +9,61 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .body_model import BodyModel
-from .checks import same_camera, same_size
-from .default_features import guessed, of_body
+from .checks import require_same_camera, require_same_size
+from .default_features import search_again_without_default, features_of_body
 from .errors import InputError
-from .observed import completed, moving
+from .observed import add_recorded_joints, moving_features
 from .settings import Settings
-from .types import Features, Finding, Frame, Recording, Score
+from .types import Features, Finding, LazyImage, Recording, Score
 
 if TYPE_CHECKING:
     from .estimation.timing.regression import Delay
 
-LONGEST = 60.0
+MAX_DURATION_S = 60.0
 """s in the middle of a log that are used: a delay is known to milliseconds after 20 s of motion."""
-MOST = 600
+MAX_IMAGES = 600
 """Most images of each camera that are searched, evenly spread."""
 MOST_FLOW_IMAGES = 6000
 """Most images of each camera between which flow is measured: all of a minute at 100 Hz, as motion needs neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
-class Examined:
+class ExaminedDelays:
     """Delays of cameras with standard errors (s) as scores, and what was found about them."""
 
     scores: tuple[Score, ...] = ()
     findings: tuple[Finding, ...] = ()
 
 
-def examine(log: Path, body: BodyModel | None, settings: Settings) -> Examined:
+def measure_image_delays(log: Path, body: BodyModel | None, settings: Settings) -> ExaminedDelays:
     """Measure the delay of each camera's timestamps relative to the encoders; nothing with `delay` off.
 
     With a body, InputError where its cameras are not those of the log; without one, a finding says what is missing.
     """
     if settings.time.delay == "off":
-        return Examined()
+        return ExaminedDelays()
     try:
-        by_marker = _examined(log, body, settings)
+        by_marker = _examine_by_body(log, body, settings)
     except InputError as problem:
         if body is not None:
             raise
         text = str(problem).removeprefix(f"{log}: ").partition("; ")[0]
-        by_marker = Examined((), (Finding("info", f"{log}: camera delays are not measured: {text}"),))
+        by_marker = ExaminedDelays((), (Finding("info", f"{log}: camera delays are not measured: {text}"),))
     if body is not None or by_marker.scores:
         return by_marker
-    by_flow = _examined_by_flow(log, settings)
-    return by_flow if by_flow.scores else Examined((), by_marker.findings or by_flow.findings)
+    by_flow = _examine_by_flow(log, settings)
+    return by_flow if by_flow.scores else ExaminedDelays((), by_marker.findings or by_flow.findings)
 
 
-def _examined_by_flow(log: Path, settings: Settings) -> Examined:
+def _examine_by_flow(log: Path, settings: Settings) -> ExaminedDelays:
     """Delays by the motion of the whole picture; a finding for each camera of which it does not tell one."""
     from .estimation.timing.flow_delay import MIN_EVIDENCE_NATS
     from .flow_findings import measure_flow_delays
     from .recording import recording
 
-    read = middle(recording.read(log, settings, settings.input.strict), LONGEST, MOST_FLOW_IMAGES)
+    read = middle_of_recording(recording.read_recording(log, settings, settings.input.strict), MAX_DURATION_S, MOST_FLOW_IMAGES)
     measured = list(measure_flow_delays(read))
-    expected = _given(settings, tuple(one.camera for one in measured))
+    expected = _given_delays(settings, tuple(one.camera for one in measured))
     rest: dict[str, Delay] = {}
     unclear = list[Finding]()
     for one in measured:
@@ -76,57 +76,57 @@ def _examined_by_flow(log: Path, settings: Settings) -> Examined:
             why = f"{one.found.nats:.0f} nats of evidence, {MIN_EVIDENCE_NATS:.0f} are needed"
             text = f"{log}: {one.camera}: no delay by the picture's motion: {why}"
             unclear.append(Finding("info", text))
-    told = [replace(one, text=f"{log}: {one.text}") for one in _findings(rest, expected, "by the picture's motion")]
-    return Examined(tuple(_scores(rest, expected)), (*told, *unclear))
+    delay_findings = [replace(one, text=f"{log}: {one.text}") for one in _delay_difference_findings(rest, expected, "by the picture's motion")]
+    return ExaminedDelays(tuple(_delay_scores(rest, expected)), (*delay_findings, *unclear))
 
 
-def _examined(log: Path, body: BodyModel | None, settings: Settings) -> Examined:
+def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> ExaminedDelays:
     from . import camera_delay
     from .estimation.timing import correction
 
-    settings = settings if body is None else of_body(body, settings)
+    settings = settings if body is None else features_of_body(body, settings)
     read, features = _middle_observed(log, settings, body is None)
     if features.joints is None or features.poses or (read.frames is None and not features.tracks):
         text = f"{log}: camera delays are not measured: it has no moving joints with images"
-        return Examined((), () if body is None else (Finding("info", text),))
-    names = correction.cameras([*features.tracks, *(() if body is None else body.senses)])
-    expected = {**({} if body is None else correction.learned_delays(body)), **_given(settings, names)}
-    timely = correction.shifted(features, expected)
+        return ExaminedDelays((), () if body is None else (Finding("info", text),))
+    names = correction.list_track_cameras([*features.tracks, *(() if body is None else body.senses)])
+    expected = {**({} if body is None else correction.learned_delays(body)), **_given_delays(settings, names)}
+    timely = correction.shift_features(features, expected)
     if body is None:
-        found, unclear = camera_delay.measured(timely, read.settings)
+        found, unclear = camera_delay.measure_log_delays(timely, read.settings)
     else:
-        same_camera(log, body.provenance.get("cameras", ()), read, features)
-        same_size(log, body, features, settings)
+        require_same_camera(log, body.provenance.get("cameras", ()), read, features)
+        require_same_size(log, body, features, settings)
         every = correction.measured_delays(timely, body)
         found = {name: one for name, one in every.items() if not one.doubt}
         unclear = {name: one for name, one in every.items() if one.doubt}
     by = "by the body learned from this log" if body is None else "by the body given"
-    some = (*_findings(found, expected, by), *_unmeasured(names, found, unclear, expected, body is None))
+    some = (*_delay_difference_findings(found, expected, by), *_unmeasured_findings(names, found, unclear, expected, body is None))
     texts = [replace(one, text=f"{log}: {one.text}") for one in some]
-    return Examined(tuple(_scores({**found, **unclear}, expected)), tuple(texts))
+    return ExaminedDelays(tuple(_delay_scores({**found, **unclear}, expected)), tuple(texts))
 
 
-def _given(settings: Settings, names: tuple[str, ...]) -> dict[str, float]:
+def _given_delays(settings: Settings, names: tuple[str, ...]) -> dict[str, float]:
     """Delays (s) that the settings give."""
     from .estimation.timing import correction
 
     return correction.fixed_delays(settings.time.delay, names)
 
 
-def _scores(found: "Mapping[str, Delay]", expected: Mapping[str, float]) -> Iterator[Score]:
+def _delay_scores(found: "Mapping[str, Delay]", expected: Mapping[str, float]) -> Iterator[Score]:
     for name, rest in found.items():
         yield Score(f"delay/{name}", expected.get(name, 0.0) + rest.seconds, "s", rest.std_error)
         yield Score(f"std/delay/{name}", rest.std_error, "s")
 
 
-def _findings(found: "Mapping[str, Delay]", expected: Mapping[str, float], by: str) -> Iterator[Finding]:
+def _delay_difference_findings(found: "Mapping[str, Delay]", expected: Mapping[str, float], by: str) -> Iterator[Finding]:
     """A warning for each delay that differs from the expected one (s), else information."""
     from .estimation.timing import correction
 
     for name, rest in found.items():
         known = expected.get(name, 0.0)
-        text = f"{name}: {correction.worded(known + rest.seconds, rest.std_error)}, {by}"
-        if not correction.significant(rest):
+        text = f"{name}: {correction.describe_delay(known + rest.seconds, rest.std_error)}, {by}"
+        if not correction.is_significant(rest):
             yield Finding("info", f"{text}; {f'{known:g} s is expected' if known else 'not significant'}")
         elif name in expected:
             yield Finding("warning", f"{text}, not {known:g} s; type --delay {name}={known + rest.seconds:.4f}")
@@ -134,7 +134,7 @@ def _findings(found: "Mapping[str, Delay]", expected: Mapping[str, float], by: s
             yield Finding("warning", f"{text}; fit and estimate measure and correct it")
 
 
-def _unmeasured(
+def _unmeasured_findings(
     names: tuple[str, ...], found: "Mapping[str, Delay]", unclear: "Mapping[str, Delay]",
     expected: Mapping[str, float], alone: bool,
 ) -> Iterator[Finding]:  # fmt: skip
@@ -146,7 +146,7 @@ def _unmeasured(
         why = "its images and the joints move too little, or not together"
         if name in unclear:
             late = expected.get(name, 0.0) + unclear[name].seconds
-            text = correction.worded(late, unclear[name].std_error)
+            text = correction.describe_delay(late, unclear[name].std_error)
             why = f"perhaps {text}, but {unclear[name].doubt or 'the body is no better with that'}"
         yield Finding("info", f"{name}: delay not measured: {why}{advice}")
 
@@ -155,24 +155,24 @@ def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Record
     """The middle of a log and what perception finds in it; `guess`: as pipeline.observe."""
     from .recording import recording
 
-    read = middle(recording.read(log, settings, settings.input.strict), LONGEST, MOST)
-    look = partial(moving, progress=None)
+    read = middle_of_recording(recording.read_recording(log, settings, settings.input.strict), MAX_DURATION_S, MAX_IMAGES)
+    look = partial(moving_features, progress=None)
     found = look(read, settings)
     if guess:
-        read, found = guessed(log, read, found, settings, look)
-    return read, completed(read, found)
+        read, found = search_again_without_default(log, read, found, settings, look)
+    return read, add_recorded_joints(read, found)
 
 
-def middle(read: Recording, longest_s: float, most_images: int) -> Recording:
+def middle_of_recording(read: Recording, longest_s: float, most_images: int) -> Recording:
     """The middle of a recording, at most longest_s, with at most most_images of each camera."""
-    from .recording.tidy import cut
+    from .recording.tidy import cut_to_window
 
     spare = max(0.0, 0.5 * (read.duration_s - longest_s))
     begin, end = spare, read.duration_s - spare
     films = {"": read.frames, **read.views}
-    counts = {name: _count(read, name) * min(1.0, longest_s / max(read.duration_s, longest_s)) for name in films}
+    counts = {name: _count_images(read, name) * min(1.0, longest_s / max(read.duration_s, longest_s)) for name in films}
     few = {
-        name: partial(_some, film, begin, end, max(1, ceil(counts[name] / most_images)))
+        name: partial(_thin_frames, film, begin, end, max(1, ceil(counts[name] / most_images)))
         for name, film in films.items()
         if film is not None
     }
@@ -180,19 +180,19 @@ def middle(read: Recording, longest_s: float, most_images: int) -> Recording:
         read,
         frames=few.pop("", None),
         views=few,
-        joints=None if read.joints is None else cut(read.joints, read.start_ns, (begin, end)),
-        reference=None if read.reference is None else cut(read.reference, read.start_ns, (begin, end)),
+        joints=None if read.joints is None else cut_to_window(read.joints, read.start_ns, (begin, end)),
+        reference=None if read.reference is None else cut_to_window(read.reference, read.start_ns, (begin, end)),
     )
 
 
-def _count(read: Recording, camera: str) -> int:
+def _count_images(read: Recording, camera: str) -> int:
     """Images of a camera by its name, "" the first."""
     source = read.roles.get(f"camera/{camera}".strip("/"), "")
     health = read.health.get(source)
     return 0 if health is None else health.used
 
 
-def _some(film: Callable[[], Iterator[Frame]], begin: float, end: float, every: int) -> Iterator[Frame]:
+def _thin_frames(film: Callable[[], Iterator[LazyImage]], begin: float, end: float, every: int) -> Iterator[LazyImage]:
     """Every `every`-th frame from begin to end (s)."""
     inside = (frame for frame in film() if begin <= frame.t <= end)
     return islice(inside, 0, None, every)

@@ -5,16 +5,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from .body_model import BodyModel
-from .evaluation.figures import FIRST
-from .settings import Settings, wanted
-from .sources import described, feature_of
+from .evaluation.figures import OFF_FROM_START_S
+from .settings import Settings, list_configured_sources
+from .sources import describe_source, feature_of
 from .types import Estimate, Fault, Features, Finding, Series
-from .wording import listed, quantity
+from .wording import list_in_words, quantity_text
 
 
 def fault_warnings(faults: Sequence[Fault]) -> tuple[Finding, ...]:
     """A warning for each fault: sensor, kind, since when, size."""
-    return tuple(Finding("warning", _text(fault)) for fault in faults)
+    return tuple(Finding("warning", _fault_warning_text(fault)) for fault in faults)
 
 
 def span_text(fault: Fault, decimals: int = 1) -> str:
@@ -24,23 +24,23 @@ def span_text(fault: Fault, decimals: int = 1) -> str:
     return f"{fault.since:.{decimals}f} to {fault.until:.{decimals}f} s"
 
 
-def _text(fault: Fault) -> str:
+def _fault_warning_text(fault: Fault) -> str:
     since = f"{fault.sense} {fault.name}: {fault.kind} {span_text(fault, 3)}"
     # the size of an ambiguous fault is NaN
     known = fault.size == fault.size
     size = (
-        f", {quantity(fault.size, fault.std, fault.unit)}"
+        f", {quantity_text(fault.size, fault.std, fault.unit)}"
         if known
         else "; the log does not determine which one"
     )
     size += (
-        "" if fault.turn is None else f", turned by {quantity(fault.turn, fault.turn_std, 'rad')}"
+        "" if fault.turn is None else f", turned by {quantity_text(fault.turn, fault.turn_std, 'rad')}"
     )
     first = "; from the start: homed differently, or the camera moved since the body was learned"
     body = "; relative to the body"
     compared = fault.kind == "moved" or (fault.kind == "offset" and fault.std is not None)
     return (
-        since + size + first * (fault.kind == "drifting" and fault.since < FIRST) + body * compared
+        since + size + first * (fault.kind == "drifting" and fault.since < OFF_FROM_START_S) + body * compared
     )
 
 
@@ -49,7 +49,7 @@ def sighting_findings(found: Features) -> tuple[Finding, ...]:
     from .body.data import trainable
 
     return tuple(
-        Finding("info", f"{name}: {trainable.seen([found], name)}") for name in found.tracks
+        Finding("info", f"{name}: {trainable.describe_sighting_counts([found], name)}") for name in found.tracks
     )
 
 
@@ -67,7 +67,7 @@ def unseen_findings(
         for name in looked
         if name in features.tracks and np.isfinite(features.tracks[name].values).any()
     }
-    sources, unseen = wanted(settings), dict[str, int]()
+    sources, unseen = list_configured_sources(settings), dict[str, int]()
     for name in looked.keys() - seen:
         if looked[name]:
             unseen[feature_of(name)] = max(unseen.get(feature_of(name), 0), looked[name])
@@ -76,11 +76,11 @@ def unseen_findings(
         return ()
     count = max(unseen.values())
     things = [
-        f"{described(sources[name])} ({name})" if name in sources else name
+        f"{describe_source(sources[name])} ({name})" if name in sources else name
         for name in sorted(unseen)
     ]
     never = "they were never seen" if things[1:] else "it was never seen"
-    text = f"the body looks for {listed(things)}; {never} in {count} images"
+    text = f"the body looks for {list_in_words(things)}; {never} in {count} images"
     if seen:
         return (Finding("warning", text),)
     return (Finding("lost", f"{text}: the estimate is of the encoders alone"),)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .body_model import BodyModel, ForwardModel
 
 
-def info(log: Path | str, settings: Settings) -> dict[str, Any]:
+def describe_file(log: Path | str, settings: Settings) -> dict[str, Any]:
     """What is in a log: topics, rates, roles, clocks; or in a body model (.npz): joints, senses, noise, provenance.
 
     Of an MCAP behind a URL only what this needs is read.
@@ -27,14 +27,14 @@ def info(log: Path | str, settings: Settings) -> dict[str, Any]:
     log = Path(log)
     if is_archive(log):
         return _info_body(log)
-    return facts.info(log, settings, settings.input.strict)
+    return facts.describe_log(log, settings, settings.input.strict)
 
 
 def dataset_images(log: Path, settings: Settings) -> int:
     """Images in a dataset of a log: one of each camera for each of the first one's; 0 without an image topic."""
     from .recording import dataset_rows
 
-    return dataset_rows.images(log, settings)
+    return dataset_rows.count_row_images(log, settings)
 
 
 def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
@@ -42,7 +42,7 @@ def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
     from .recording import facts
 
     with local_path(url, settings.input.max_wait_s) as path:
-        found = facts.info(path, settings, settings.input.strict)
+        found = facts.describe_log(path, settings, settings.input.strict)
     findings = [{**one, "text": one["text"].replace(str(path), url)} for one in found["findings"]]
     return found | {"path": url, "findings": findings}
 
@@ -50,32 +50,32 @@ def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
 def _info_body(path: Path) -> dict[str, Any]:
     from .body import storage
 
-    learned = storage.load(path)
+    learned = storage.load_body(path)
     return {
         "path": str(path),
         "format": "body",
         "joints": list(learned.joints),
-        "senses": {name: _sense(sense, learned.joints) for name, sense in learned.senses.items()},
-        **_zeros(learned),
+        "senses": {name: _describe_sense(sense, learned.joints) for name, sense in learned.senses.items()},
+        **_list_zeros_and_scales(learned),
         "noise": asdict(learned.noise),
         "touch": asdict(learned.touch),
         "cells": {str(cell): list(place) for cell, place in learned.cells.items()},
-        "provenance": {key: _parsed(value) for key, value in learned.provenance.items()},
+        "provenance": {key: _parse_if_json(value) for key, value in learned.provenance.items()},
         "findings": [],
     }
 
 
-def _zeros(learned: "BodyModel") -> dict[str, Any]:
+def _list_zeros_and_scales(learned: "BodyModel") -> dict[str, Any]:
     """The joints' zeros and scales of a body that was learned with a URDF."""
     from .body.kinematic import model as kinematic_gp
     from .body.kinematic import offsets
 
     if not any(isinstance(sense, kinematic_gp.KinematicGP) for sense in learned.senses.values()):
         return {}
-    return dict(offsets.tables(offsets.learned(learned), offsets.scaled(learned)))
+    return dict(offsets.offset_tables(offsets.learned_zeros(learned), offsets.learned_scales(learned)))
 
 
-def _sense(sense: "ForwardModel", joints: Sequence[str]) -> dict[str, Any]:
+def _describe_sense(sense: "ForwardModel", joints: Sequence[str]) -> dict[str, Any]:
     """What a sense's model is made of: samples and a length scale (rad) for each joint, or coefficients."""
     from .body.gp.model import GP
     from .body.kinematic.model import KinematicGP
@@ -85,18 +85,18 @@ def _sense(sense: "ForwardModel", joints: Sequence[str]) -> dict[str, Any]:
     if isinstance(sense, GP):
         scales = [dict(zip(joints, group, strict=True)) for group in sense.scales.tolist()]
         facts |= {"samples": len(sense.samples), "length_scales": scales}
-        return facts | ({"kinematics": _links(sense)} if isinstance(sense, KinematicGP) else {})
+        return facts | ({"kinematics": _list_links(sense)} if isinstance(sense, KinematicGP) else {})
     return facts | ({"coefficients": sense.coefficients.tolist()} if isinstance(sense, Polynomial) else {})
 
 
-def _links(sense: "KinematicGP") -> dict[str, str | None]:
+def _list_links(sense: "KinematicGP") -> dict[str, str | None]:
     """What hangs on which link, and the robot's root."""
     camera, marker, base = sense.rig.cameras[0], sense.rig.carriers[0], sense.base
     links = {"camera": camera.name, "camera_link": camera.link, "marker": marker.name, "marker_link": marker.link}
     return links | {"base": None if base is None else base.chain.start}
 
 
-def _parsed(value: Any) -> Any:
+def _parse_if_json(value: Any) -> Any:
     """A text that holds JSON as what it holds."""
     try:
         return read_json(value) if isinstance(value, str) else value

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .types import Array, Finding, Series
-from .wording import listed
+from .wording import list_in_words
 
 if TYPE_CHECKING:
     from .kinematics.robot import Limits
 
-STEP = 2.0 * np.pi / 4096.0
+ENCODER_STEP_RAD = 2.0 * np.pi / 4096.0
 """rad: the step of a 12-bit encoder, assumed for one that never moves."""
 
 
@@ -23,7 +23,7 @@ def limit_findings(joints: Series, limits: "Mapping[str, Limits]", source: str) 
     beyond its limits, or if most joints are beyond theirs.
     """
     columns = dict(zip(joints.names, joints.values.T, strict=True))
-    excess = {name: _excess(y[np.isfinite(y)], limits[name]) for name, y in columns.items() if name in limits}
+    excess = {name: _excess_over_limits(y[np.isfinite(y)], limits[name]) for name, y in columns.items() if name in limits}
     texts, typical, ranges = dict[str, str](), dict[str, float](), dict[str, float]()
     for name, beyond in excess.items():
         if (out := beyond > 0.0).any():
@@ -39,11 +39,11 @@ def limit_findings(joints: Series, limits: "Mapping[str, Limits]", source: str) 
     foreign = [text for name, text in texts.items() if other or typical[name] > ranges[name]]
     yield from (Finding("warning", f"joints: {text}") for text in texts.values() if text not in foreign)
     if foreign:
-        some = listed(foreign, " joints", "; ")
+        some = list_in_words(foreign, " joints", "; ")
         yield Finding("info", f"joints: other units or zeros than those of {source}, or another robot's: {some}")
 
 
-def _excess(y: Array, limits: "Limits") -> Array:
+def _excess_over_limits(y: Array, limits: "Limits") -> Array:
     """How far readings (N,) are beyond the limits; 0 within them, and where that is rounding or an encoder's step."""
     beyond = np.maximum(y - limits.upper, limits.lower - y)
-    return np.where(beyond > limits.rounding + STEP, beyond, 0.0)
+    return np.where(beyond > limits.rounding + ENCODER_STEP_RAD, beyond, 0.0)

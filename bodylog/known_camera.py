@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import ConfigError
-from .settings import Camera
+from .settings import CameraSettings
 from .types import Array
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ _MOST_BYTES = 1 << 20
 _PLACE = "x, y, z (m), roll, pitch, yaw (rad)"
 
 
-def with_known(hint: "CameraHint", known: Camera, robot: "Robot") -> "CameraHint":
+def with_known(hint: "CameraHint", known: CameraSettings, robot: "Robot") -> "CameraHint":
     """The hint of the first camera with what [camera] gives; ConfigError where that cannot be.
 
     A pose's doubt is that of the lens in the camera, which is what its unknowns are of.
@@ -35,21 +35,21 @@ def with_known(hint: "CameraHint", known: Camera, robot: "Robot") -> "CameraHint
     return hint if known.place is None else _with_place(hint, known)
 
 
-def _with_focal(hint: "CameraHint", known: Camera) -> "CameraHint":
-    from .kinematics.camera import lens
+def _with_focal(hint: "CameraHint", known: CameraSettings) -> "CameraHint":
+    from .kinematics.camera import lens_without_distortion
     from .kinematics.links import FREE_LENS, INFO_LENS
 
     assert known.focal is not None
     width, height = hint.size or hint.extent or (640, 480)
-    numbers = lens(known.focal, width, height) if hint.lens is None else hint.lens.copy()
+    numbers = lens_without_distortion(known.focal, width, height) if hint.lens is None else hint.lens.copy()
     numbers[0] = np.log(known.focal)
     std = (FREE_LENS if hint.lens is None else INFO_LENS).copy()
     std[0] = known.focal_std
     return replace(hint, lens=numbers, lens_std=std)
 
 
-def _with_place(hint: "CameraHint", known: Camera) -> "CameraHint":
-    from .kinematics.rotations import from_rpy, transform
+def _with_place(hint: "CameraHint", known: CameraSettings) -> "CameraHint":
+    from .kinematics.rotations import rotation_from_rpy, make_transform
 
     assert known.place is not None
     if hint.link is None:
@@ -58,7 +58,7 @@ def _with_place(hint: "CameraHint", known: Camera) -> "CameraHint":
         raise ConfigError(f"[camera] place: found {len(known.place)} numbers, possible: 6: {_PLACE}")
     values = np.array(known.place)
     std = np.array([known.place_std] * 3 + [np.radians(known.turn_std)] * 3)
-    return replace(hint, pose=transform(from_rpy(values[3:]), values[:3]), pose_std=std)
+    return replace(hint, pose=make_transform(rotation_from_rpy(values[3:]), values[:3]), pose_std=std)
 
 
 def load_lens(path: Path) -> tuple[Array, tuple[int, int]]:
@@ -69,30 +69,30 @@ def load_lens(path: Path) -> tuple[Array, tuple[int, int]]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
-    from .io.atomic_files import text as read_text
+    from .io.atomic_files import read_limited_text as read_text
 
     where = f"[camera] info: {path}"
     try:
         values = YAML(typ="safe", pure=True).load(read_text(path, _MOST_BYTES))
     except (OSError, UnicodeDecodeError, YAMLError, RecursionError) as problem:
         raise ConfigError(f"{where}: cannot be read as YAML ({' '.join(str(problem).split())[:150]})") from problem
-    width, height = (_number(values, name, where) for name in ("image_width", "image_height"))
-    matrix = _data(values, "camera_matrix", 9, where)
-    distortion = _data(values, "distortion_coefficients", 4, where)
+    width, height = (_require_number(values, name, where) for name in ("image_width", "image_height"))
+    matrix = _require_number_list(values, "camera_matrix", 9, where)
+    distortion = _require_number_list(values, "distortion_coefficients", 4, where)
     if matrix[0] <= 0.0 or matrix[4] <= 0.0 or width < 1.0 or height < 1.0:
         raise ConfigError(f"{where}: found focal lengths {matrix[0]:g}, {matrix[4]:g} px, possible: positive numbers")
     numbers = [np.log(matrix[0]), np.log(matrix[4] / matrix[0]), matrix[2], matrix[5], *distortion[:2]]
     return np.array(numbers), (int(width), int(height))
 
 
-def _number(values: Any, name: str, where: str) -> float:
+def _require_number(values: Any, name: str, where: str) -> float:
     found = values.get(name) if isinstance(values, dict) else None
     if isinstance(found, bool) or not isinstance(found, int | float):
         raise ConfigError(f"{where}: {name}: found {str(found)[:50]!r}, possible: a number")
     return float(found)
 
 
-def _data(values: Any, name: str, fewest: int, where: str) -> Array:
+def _require_number_list(values: Any, name: str, fewest: int, where: str) -> Array:
     part = values.get(name)
     found = part.get("data") if isinstance(part, dict) else None
     sound = isinstance(found, list) and len(found) >= fewest

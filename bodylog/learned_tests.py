@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .body_model import BodyModel
-from .checks import log_context, same_camera
+from .checks import log_context, require_same_camera
 from .fault_findings import sighting_findings
 from .types import Features, Finding, Health, Recording, Score
 
 
-def score(
+def score_learned_body(
     learned: BodyModel, observed: Sequence[tuple[Path, Recording, Features]]
 ) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
     """A body's scores on test logs, dated as it knows its cameras, and what was found in them; none without logs."""
@@ -20,10 +20,10 @@ def score(
         return (), ()
     findings = [f for _, read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
     for log, read, found in observed:
-        findings += same_camera(log, learned.provenance.get("cameras", ()), read, found)
-    timely = [correction.shifted(found, correction.learned_delays(learned)) for _, _, found in observed]
+        findings += require_same_camera(log, learned.provenance.get("cameras", ()), read, found)
+    timely = [correction.shift_features(found, correction.learned_delays(learned)) for _, _, found in observed]
     with log_context(observed[0][0], findings, len(observed) - 1):
-        scores, more = test_scores.score(learned, timely)
+        scores, more = test_scores.score_body_on_tests(learned, timely)
     return scores, (*findings, *more)
 
 

@@ -19,10 +19,10 @@ def selected_inverse(diagonal: Array, upper: Array) -> tuple[Array, Array]:
     even[1 : 1 + len(after)] -= np.matmul(after.transpose(0, 2, 1), right)
     joined = -np.matmul(left[: len(after)], after)
     kept, between = selected_inverse(even, joined)
-    return _restored(kept, between, odd, left, right, count)
+    return _restore_eliminated_blocks(kept, between, odd, left, right, count)
 
 
-def _restored(kept: Array, between: Array, odd: Array, left: Array, right: Array, count: int) -> tuple[Array, Array]:
+def _restore_eliminated_blocks(kept: Array, between: Array, odd: Array, left: Array, right: Array, count: int) -> tuple[Array, Array]:
     """Put back the eliminated blocks: Σ_oe = −D⁻¹ B Σ_ee, Σ_oo = D⁻¹ − Σ_oe Bᵀ D⁻¹."""
     inner, order = len(right), kept.shape[1]
     diagonal, upper = np.empty((count, order, order)), np.empty((count - 1, order, order))
@@ -37,14 +37,14 @@ def _restored(kept: Array, between: Array, odd: Array, left: Array, right: Array
     return diagonal, upper
 
 
-SMALL = 64
+SMALL_ROWS = 64
 """Rows of a triangular matrix that LAPACK's general solver may take; from 20 to 100 cost the same."""
 
 
 def forward_substituted(lower: Array, right: Array) -> Array:
     """L⁻¹ B (N,R) for a lower triangular L (N,N) and B (N,R), by halves: NumPy alone has a solver for full matrices."""
     half = len(lower) // 2
-    if len(lower) <= SMALL:
+    if len(lower) <= SMALL_ROWS:
         return np.linalg.solve(lower, right)
     above = forward_substituted(lower[:half, :half], right[:half])
     below = forward_substituted(lower[half:, half:], right[half:] - lower[half:, :half] @ above)

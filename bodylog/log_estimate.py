@@ -18,17 +18,17 @@ def estimate_log(
 
     settings: with the features of the body where the user named none · typed: as the user gave them.
     """
-    from .misfit import doubted, find_misfit, from_many_faults
+    from .misfit import with_doubt, find_misfit, from_many_faults
 
     chosen = settings.estimate, settings.time.delay
     with log_context(log, read.findings):
         misfit = find_misfit(features, learned, *chosen)
         if misfit is None:
-            found = change_findings.compared(features, learned, infer(features, learned, settings), settings.estimate)
+            found = change_findings.compare_changes_with_faults(features, learned, infer(features, learned, settings), settings.estimate)
             misfit = from_many_faults(found, features, learned, *chosen)
         if misfit is not None:
-            found = doubted(infer_from_encoders(features, learned, settings), features, misfit)
-        found = effector_poses.added(learned, found)
+            found = with_doubt(infer_from_encoders(features, learned, settings), features, misfit)
+        found = effector_poses.add_kinematic_results(learned, found)
     if misfit is not None:
         return found
     require_tracks(log, found.used, features, typed, "; or go on with the rest: --without {}")
@@ -47,13 +47,13 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     """Where the body was, from what was found in a log and a learned body."""
     from . import estimation
     from .body.senses import encoder_function
-    from .evaluation.scores import READ
+    from .evaluation.scores import ENCODERS_READ_KEY
 
-    estimation.check(learned, settings.estimate)
+    estimation.check_estimation_settings(learned, settings.estimate)
     coding = estimation.METHODS[settings.estimate.method].encoder_model
-    understood = encoder_function.understood(features, learned, settings.estimate, coding)
-    found = estimation.estimate(*understood, settings.time.delay)
+    understood = encoder_function.convert_readings_to_angles(features, learned, settings.estimate, coding)
+    found = estimation.estimate_from_features(*understood, settings.time.delay)
     if "encoders" not in learned.senses or features.joints is None:
         return found
     left_out = Finding("info", "encoders: read what the body has learned, no angles; rmse/encoders is left out")
-    return replace(found, settings={**found.settings, READ: "as learned"}, findings=(*found.findings, left_out))
+    return replace(found, settings={**found.settings, ENCODERS_READ_KEY: "as learned"}, findings=(*found.findings, left_out))

@@ -2,7 +2,7 @@
 
 Explanations are compared by −ln p of all sightings (`sighting_evidence`): the log as it is with at most two faults,
 each with what its unknowns cost, or with its columns read differently: two joints swapped, a sign flipped, degrees for
-radians, two cameras swapped. What is read differently has no unknowns; it must win NATS over any fault.
+radians, two cameras swapped. What is read differently has no unknowns; it must win EVIDENCE_THRESHOLD_NATS over any fault.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,17 +12,17 @@ from itertools import combinations
 import numpy as np
 
 from .body_model import BodyModel
-from .estimation.faults.threshold import FAR, NATS
-from .estimation.measurements.gather import camera
+from .estimation.faults.threshold import PRIOR_STD_RAD, EVIDENCE_THRESHOLD_NATS
+from .estimation.measurements.gather import camera_of_track
 from .estimation.timing import correction
 from .evaluation.figures import MISFIT
 from .runtime.blas_threads import one_thread
-from .settings import Estimation
+from .settings import EstimationSettings
 from .sighting_evidence import (
     WALK,
-    Fitted,
+    FittedUnknowns,
     SightingLog,
-    Sightings,
+    TrackSightings,
     constant_offsets,
     fit_unknowns,
     possible_faults,
@@ -30,12 +30,12 @@ from .sighting_evidence import (
     usual_offsets,
     wide_nats,
 )
-from .types import EITHER, Array, Estimate, Features, Finding, Health
+from .types import ALTERNATIVE_SEPARATOR, Array, Estimate, Features, Finding, Health
 
-MOST_OFF = 0.5
+MAX_SHARE_OFF = 0.5
 """Share of sightings off from which a log does not fit. Encoders of real arms with play and load, and one image in
 three of something else, stay below it."""
-FORETOLD = 0.9
+MIN_PREDICTABLE_SHARE = 0.9
 """Share of the images' motion that joints must predict where another camera is named."""
 MOST_CAUSES = 2
 """Encoders, cameras and markers that may have faults at once which only the body shows: a log of another body is more
@@ -54,7 +54,7 @@ _RIDGE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Misfit:
+class LogMisfit:
     """A log that does not fit the body: the share of its sightings off, after the likeliest faults, and how many there
     are; the explanation that wins, what to type then, the share off with it, and the nats it wins; change (M,M) makes
     the angles meant from those read, None where joints are not the cause; causes: sensors that would be wrong at once.
@@ -71,7 +71,7 @@ class Misfit:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class LogReading:
     """A way to read a log, in words and as the log read so; change (M,M) makes the angles meant from those read."""
 
     words: str
@@ -82,56 +82,56 @@ class Reading:
 
 @one_thread("scipy.linalg")
 def find_misfit(
-    features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float] = "auto"
-) -> Misfit | None:
+    features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float] = "auto"
+) -> LogMisfit | None:
     """Return how a log does not fit the body; None where it fits, or too little is seen to tell.
 
-    `delay`: as in `estimation.estimate`.
+    `delay`: as in `estimation.estimate_from_features`.
     """
-    stamped = correction.shifted(features, _known_delays(features, body, delay))
+    stamped = correction.shift_features(features, _known_delays(features, body, delay))
     log = select_sightings(stamped, body, settings)
     if log is None:
         return None
     plain = fit_unknowns(log, usual_offsets(log))
-    readings = _readings(log, stamped, body, settings)
-    promising = _promising(log, readings)
-    if plain.off <= MOST_OFF and not promising:
+    readings = _list_log_readings(log, stamped, body, settings)
+    promising = _select_promising_readings(log, readings)
+    if plain.off <= MAX_SHARE_OFF and not promising:
         return None
     fault = _likeliest_fault(log, plain)
-    if fault.off > MOST_OFF:
+    if fault.off > MAX_SHARE_OFF:
         fault = min(fault, _with_measured_delay(features, body, settings, delay), key=lambda one: one.nats)
     tried = [(fit_unknowns(one.log, usual_offsets(one.log)), one) for one in promising]
-    fitting = sorted((one for one in tried if one[0].off <= MOST_OFF), key=lambda one: one[0].nats)
+    fitting = sorted((one for one in tried if one[0].off <= MAX_SHARE_OFF), key=lambda one: one[0].nats)
     # all readings together are as likely as one fault
-    margin = NATS + float(np.log(len(readings)))
+    margin = EVIDENCE_THRESHOLD_NATS + float(np.log(len(readings)))
     if fitting and fitting[0][0].nats < fault.nats - margin:
-        return _explained(fitting, plain, fault, log.count)
-    if fault.off <= MOST_OFF or _has_moved(features, body):
+        return _explain_misfit(fitting, plain, fault, log.count)
+    if fault.off <= MAX_SHARE_OFF or _has_moved(features, body):
         return None
-    return _unexplained(log, plain.off)
+    return _unexplained_misfit(log, plain.off)
 
 
-def share_off(features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float]) -> float:
+def share_of_sightings_off(features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float]) -> float:
     """The share of sightings more than 3 standard deviations off without any fault; NaN where too little is seen."""
-    log = select_sightings(correction.shifted(features, _known_delays(features, body, delay)), body, settings)
+    log = select_sightings(correction.shift_features(features, _known_delays(features, body, delay)), body, settings)
     return float("nan") if log is None else fit_unknowns(log, usual_offsets(log)).off
 
 
 def from_many_faults(
-    found: Estimate, features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float]
-) -> Misfit | None:
+    found: Estimate, features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float]
+) -> LogMisfit | None:
     """Return that a log does not fit where more than MOST_CAUSES sensors would have faults that only the body shows."""
     causes = {fault.name for fault in found.faults if (fault.sense, fault.kind) in _SHOWN_BY_BODY}
-    log = select_sightings(correction.shifted(features, _known_delays(features, body, delay)), body, settings)
+    log = select_sightings(correction.shift_features(features, _known_delays(features, body, delay)), body, settings)
     if len(causes) <= MOST_CAUSES or log is None:
         return None
-    unexplained = _unexplained(log, fit_unknowns(log, usual_offsets(log)).off)
+    unexplained = _unexplained_misfit(log, fit_unknowns(log, usual_offsets(log)).off)
     return replace(unexplained, causes=len(causes))
 
 
-def sentence(misfit: Misfit) -> str:
+def misfit_sentence(misfit: LogMisfit) -> str:
     """The verdict on a log that does not fit."""
-    off = f": {misfit.off:.0%} of {misfit.sightings} sightings are more than 3 σ off" if misfit.off > MOST_OFF else ""
+    off = f": {misfit.off:.0%} of {misfit.sightings} sightings are more than 3 σ off" if misfit.off > MAX_SHARE_OFF else ""
     text = f"this log does not fit this body{off}"
     if misfit.causes:
         text = f"{text}{' and' if off else ':'} {misfit.causes} sensors would have to be wrong at once"
@@ -143,15 +143,15 @@ def sentence(misfit: Misfit) -> str:
     return f"{text}; {likelier}: {misfit.advice}"
 
 
-def doubted(found: Estimate, features: Features, misfit: Misfit) -> Estimate:
+def with_doubt(found: Estimate, features: Features, misfit: LogMisfit) -> Estimate:
     """An estimate from encoders alone, as that of a log that does not fit: without faults, and with the doubt in it.
 
     Where other angles explain the log, their difference from those read adds to the covariance; else FAR rad do, as of
     an encoder with a fault.
     """
-    angles, text = found.joints.values, sentence(misfit)
+    angles, text = found.joints.values, misfit_sentence(misfit)
     if misfit.change is None:
-        doubt = FAR**2 * np.eye(angles.shape[1])
+        doubt = PRIOR_STD_RAD**2 * np.eye(angles.shape[1])
     else:
         apart = angles @ (misfit.change - np.eye(angles.shape[1])).T
         doubt = apart[:, :, None] * apart[:, None, :]
@@ -168,21 +168,21 @@ def doubted(found: Estimate, features: Features, misfit: Misfit) -> Estimate:
 
 
 def _with_measured_delay(
-    features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float]
-) -> Fitted:
+    features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float]
+) -> FittedUnknowns:
     """The log with its likeliest fault after camera delays are measured and corrected."""
-    timely = correction.corrected(features, body, delay).features
+    timely = correction.correct_camera_delays(features, body, delay).features
     log = select_sightings(timely, body, settings)
-    return Fitted(float("inf"), 1.0) if log is None else _likeliest_fault(log, fit_unknowns(log, usual_offsets(log)))
+    return FittedUnknowns(float("inf"), 1.0) if log is None else _likeliest_fault(log, fit_unknowns(log, usual_offsets(log)))
 
 
 def _known_delays(features: Features, body: BodyModel, given: str | Mapping[str, float]) -> dict[str, float]:
     """Delays (s) that are given, or else the body's."""
-    names = correction.cameras([*features.tracks, *body.senses])
+    names = correction.list_track_cameras([*features.tracks, *body.senses])
     return {**correction.learned_delays(body), **correction.fixed_delays(given, names)}
 
 
-def _readings(log: SightingLog, features: Features, body: BodyModel, settings: Estimation) -> list[Reading]:
+def _list_log_readings(log: SightingLog, features: Features, body: BodyModel, settings: EstimationSettings) -> list[LogReading]:
     """The ways to read the log that are compared."""
     names, eye = body.joints, np.eye(len(body.joints))
     found = []
@@ -191,54 +191,54 @@ def _readings(log: SightingLog, features: Features, body: BodyModel, settings: E
         order[[i, j]] = j, i
         words = f"the columns of {names[i]} and {names[j]} swapped"
         advice = "name the joints in the order of their columns"
-        found.append(Reading(words, advice, log.changed(eye[order]), eye[order]))
+        found.append(LogReading(words, advice, log.changed(eye[order]), eye[order]))
     for j, name in enumerate(names):
         flip = np.diag(np.where(np.arange(len(names)) == j, -1.0, 1.0))
         advice = "correct the sign in the driver, or fit a body from a log like this one"
-        found.append(Reading(f"the sign of {name} flipped", advice, log.changed(flip), flip))
+        found.append(LogReading(f"the sign of {name} flipped", advice, log.changed(flip), flip))
     for factor, unit, words in _UNITS:
         # jumps and whole turns are those of angles in rad, so the readings are converted first
-        converted = select_sightings(_converted(features, factor), body, settings)
+        converted = select_sightings(_scale_joint_readings(features, factor), body, settings)
         if converted is not None:
-            found.append(Reading(words, f'type [body] unit = "{unit}" in robot.toml', converted, factor * eye))
+            found.append(LogReading(words, f'type [body] unit = "{unit}" in robot.toml', converted, factor * eye))
     return [*found, *_swapped_cameras(log)]
 
 
-def _converted(features: Features, factor: float) -> Features:
+def _scale_joint_readings(features: Features, factor: float) -> Features:
     """The features with all joint readings times a factor."""
     joints = features.joints
     return features if joints is None else replace(features, joints=replace(joints, values=factor * joints.values))
 
 
-def _swapped_cameras(log: SightingLog) -> Iterator[Reading]:
+def _swapped_cameras(log: SightingLog) -> Iterator[LogReading]:
     """Yield the log with the images of two cameras swapped, where both see the same features."""
     models = {track.name: track.model for track in log.tracks}
-    cameras = dict.fromkeys(camera(name) for name in models)
+    cameras = dict.fromkeys(camera_of_track(name) for name in models)
     for one, other in combinations(cameras, 2):
         swapped = {
             name: models[partner]
             for name in models
             for partner in models
-            if {camera(name), camera(partner)} == {one, other} and name.split("/")[-1] == partner.split("/")[-1]
+            if {camera_of_track(name), camera_of_track(partner)} == {one, other} and name.split("/")[-1] == partner.split("/")[-1]
         }
         if swapped:
             words = f"the images of {one} and {other} swapped"
-            yield Reading(words, "name each camera's topic in [topics] camera", log.seen_by(swapped))
+            yield LogReading(words, "name each camera's topic in [topics] camera", log.seen_by(swapped))
 
 
-def _promising(log: SightingLog, readings: Sequence[Reading]) -> list[Reading]:
+def _select_promising_readings(log: SightingLog, readings: Sequence[LogReading]) -> list[LogReading]:
     """The likeliest readings that are likelier than the log as it is, with wide errors: unknowns are not fitted yet."""
     plain = wide_nats(log)
     each = [(wide_nats(reading.log), number) for number, reading in enumerate(readings)]
     return [readings[number] for nats, number in sorted(each)[:_PROMISING] if nats < plain]
 
 
-def _likeliest_fault(log: SightingLog, plain: Fitted) -> Fitted:
+def _likeliest_fault(log: SightingLog, plain: FittedUnknowns) -> FittedUnknowns:
     """The log with the likeliest fault, or two where one is not enough; `plain`: without any."""
     usual = usual_offsets(log)
     single = [(fit_unknowns(log, (*usual, one)), one) for one in possible_faults(log)]
     best = min([plain, *(fit for fit, _ in single)], key=lambda one: one.nats)
-    if best.off <= MOST_OFF:
+    if best.off <= MAX_SHARE_OFF:
         return best
     first = min(single, key=lambda one: one[0].nats)[1]
     each = [*possible_faults(log), *constant_offsets(log)]
@@ -248,33 +248,33 @@ def _likeliest_fault(log: SightingLog, plain: Fitted) -> Fitted:
     return min([best, *(fit_unknowns(log, (*usual, first, one)) for one in others)], key=lambda one: one.nats)
 
 
-def _explained(fitting: Sequence[tuple[Fitted, Reading]], plain: Fitted, fault: Fitted, sightings: int) -> Misfit:
+def _explain_misfit(fitting: Sequence[tuple[FittedUnknowns, LogReading]], plain: FittedUnknowns, fault: FittedUnknowns, sightings: int) -> LogMisfit:
     """The misfit with the readings that win; several where none of them wins over the others."""
     best = fitting[0][0]
-    alike = [one for fit, one in fitting if fit.nats < best.nats + NATS]
-    words = EITHER.join(one.words for one in alike)
-    advice = alike[0].advice if len(alike) == 1 else "the log cannot tell which; check the driver"
-    change = alike[0].change
-    return Misfit(max(plain.off, fault.off), sightings, words, advice, best.off, fault.nats - best.nats, change)
+    indistinct_models = [one for fit, one in fitting if fit.nats < best.nats + EVIDENCE_THRESHOLD_NATS]
+    words = ALTERNATIVE_SEPARATOR.join(one.words for one in indistinct_models)
+    advice = indistinct_models[0].advice if len(indistinct_models) == 1 else "the log cannot tell which; check the driver"
+    change = indistinct_models[0].change
+    return LogMisfit(max(plain.off, fault.off), sightings, words, advice, best.off, fault.nats - best.nats, change)
 
 
-def _unexplained(log: SightingLog, off: float) -> Misfit:
+def _unexplained_misfit(log: SightingLog, off: float) -> LogMisfit:
     """The misfit of a log that no other reading of its columns explains; another camera may."""
-    if min(_foretold_share(track) for track in log.tracks) < FORETOLD:
-        return Misfit(off, log.count)
+    if min(_predictable_share(track) for track in log.tracks) < MIN_PREDICTABLE_SHARE:
+        return LogMisfit(off, log.count)
     words = "another camera, marker or body, as the joints explain the images, but not as this body does"
-    return Misfit(off, log.count, words, "fit a body from a log of this one")
+    return LogMisfit(off, log.count, words, "fit a body from a log of this one")
 
 
 def _has_moved(features: Features, body: BodyModel) -> bool:
     """Whether a camera or marker with kinematics, moved since the body was learned, explains most of the sightings."""
-    from .body.kinematic.model import comparable
+    from .body.kinematic.model import can_show_changes
     from .body.kinematic.moved_share import moved_share_off
 
-    return comparable(body) and moved_share_off(features, body) <= MOST_OFF
+    return can_show_changes(body) and moved_share_off(features, body) <= MAX_SHARE_OFF
 
 
-def _foretold_share(track: Sightings) -> float:
+def _predictable_share(track: TrackSightings) -> float:
     """Share of a track's variance predicted by a regression on squares of the angles, of parts not learned from."""
     own = track.x - track.x.mean(axis=0)
     own = own / np.maximum(own.std(axis=0), 1e-6)

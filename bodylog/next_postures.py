@@ -15,26 +15,26 @@ if TYPE_CHECKING:
     from .body.kinematic.next_poses import Proposal
 
 
-def proposed(body: Path, count: int, urdf: Path | None, among: Path | None) -> "Proposal":
+def propose_next_postures(body: Path, count: int, urdf: Path | None, among: Path | None) -> "Proposal":
     """The postures that narrow a body's calibration most, of a table of postures or at random within joint limits.
 
     UsageError without a URDF and a table.
     """
     from .body import storage
-    from .body.kinematic.next_poses import propose, random_postures
+    from .body.kinematic.next_poses import propose_postures, random_postures
     from .kinematics import urdf as urdf_file
 
     if among is None and urdf is None:
         needed = "--next needs the joints' limits, or postures to choose from"
         raise UsageError(f"{needed}; type: --urdf ROBOT.urdf, or --among POSES.csv")
-    learned = storage.load(body)
+    learned = storage.load_body(body)
     try:
         if among is not None:
-            return propose(learned, count, _postures_of_table(learned, among))
+            return propose_postures(learned, count, _postures_of_table(learned, among))
         assert urdf is not None
-        joints = urdf_file.load(urdf).joints
+        joints = urdf_file.load_urdf(urdf).joints
         limits = {joint.name: joint.limits for joint in joints if joint.limits is not None}
-        return propose(learned, count, random_postures(learned, limits))
+        return propose_postures(learned, count, random_postures(learned, limits))
     except (ModelError, EvidenceError) as problem:
         raise type(problem)(f"{body}: {problem}") from problem
 
@@ -43,7 +43,7 @@ def _postures_of_table(learned: BodyModel, table: Path) -> Array:
     """The postures (K,M) of a log of still poses, in the order of the body's joints."""
     from .recording import recording
 
-    joints = recording.read(table, Settings(), False).joints
+    joints = recording.read_recording(table, Settings(), False).joints
     names = () if joints is None else joints.names
     missing = [name for name in learned.joints if name not in names]
     if joints is None or missing:
@@ -53,20 +53,20 @@ def _postures_of_table(learned: BodyModel, table: Path) -> Array:
     return np.asarray(postures[np.isfinite(postures).all(axis=1)])
 
 
-def lines(found: "Proposal") -> Iterator[str]:
+def posture_lines(found: "Proposal") -> Iterator[str]:
     """Yield each posture in degrees (mm where a joint slides), and the error in the image that it leaves."""
     yield f"now the calibration foretells images to ± {found.std_px[0]:.2f} px; record, in this order:"
     for number, (posture, left) in enumerate(zip(found.postures, found.std_px[1:], strict=True), 1):
         joints = zip(found.joints, posture, found.sliding, strict=True)
-        values = [f"{name} {_angle(value, slides)}" for name, value, slides in joints]
+        values = [f"{name} {_joint_value_text(value, slides)}" for name, value, slides in joints]
         yield f"{number}: {', '.join(values)}; then ± {left:.2f} px"
 
 
-def _angle(value: float, slides: bool) -> str:
+def _joint_value_text(value: float, slides: bool) -> str:
     return f"{1e3 * value:.0f} mm" if slides else f"{np.degrees(value):.1f}°"
 
 
-def table(found: "Proposal") -> dict[str, Any]:
+def postures_as_values(found: "Proposal") -> dict[str, Any]:
     """As plain values: postures in rad or m by joint, nats and px."""
     return {
         "postures": [dict(zip(found.joints, posture.tolist(), strict=True)) for posture in found.postures],

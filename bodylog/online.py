@@ -5,19 +5,19 @@ from typing import Any
 
 from .body.senses import encoder_function
 from .body_model import BodyModel
-from .estimation.inference.reacquisition import SILENCE
+from .estimation.inference.reacquisition import LONG_SILENCE_S
 from .estimation.live import estimator
-from .estimation.live.inputs import Angles, Place, finite
-from .estimation.measurements.gather import camera
+from .estimation.live.inputs import Angles, Place, require_finite_time
+from .estimation.measurements.gather import camera_of_track
 from .estimation.timing import correction
-from .settings import Estimation
+from .settings import EstimationSettings
 
 
-class Estimator(estimator.Estimator):
+class Estimator(estimator.LiveEstimator):
     """A filter fed as readings arrive: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
 
     def __init__(
-        self, body: BodyModel, settings: Estimation | None = None, lag: float = SILENCE,
+        self, body: BodyModel, settings: EstimationSettings | None = None, lag: float = LONG_SILENCE_S,
         delay: Mapping[str, float] | None = None, learned: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
         """A filter for `body` with the senses, start and bias of `settings`; readings may be up to `lag` s late.
@@ -27,8 +27,8 @@ class Estimator(estimator.Estimator):
         for variances of another body, and where a reading does not determine the angle.
         """
         to_angles = encoder_function.angle_reader(body)  # refuses zero slopes, by which `plain` divides
-        super().__init__(encoder_function.plain(body), settings, lag, to_angles, learned)
-        cameras = correction.cameras(body.senses)
+        super().__init__(encoder_function.body_for_angles(body), settings, lag, to_angles, learned)
+        cameras = correction.list_track_cameras(body.senses)
         self._delays = correction.learned_delays(body) if delay is None else correction.fixed_delays(delay, cameras)
 
     def step(self, t: float, joints: Angles | None = None, **places: Place | None) -> estimator.Belief:
@@ -38,10 +38,10 @@ class Estimator(estimator.Estimator):
         latest instant. UsageError or ModelError for readings that do not fit the body, LogError until every joint has
         been read once.
         """
-        t, by_delay, own = finite(t), dict[float, dict[str, Place | None]](), self._delays.get("joints", 0.0)
+        t, by_delay, own = require_finite_time(t), dict[float, dict[str, Place | None]](), self._delays.get("joints", 0.0)
         if joints is not None or not places:
             by_delay[own] = {}
         for name, place in places.items():
-            by = 0.0 if name == "touch" else self._delays.get(camera(name), 0.0)
+            by = 0.0 if name == "touch" else self._delays.get(camera_of_track(name), 0.0)
             by_delay.setdefault(by, {})[name] = place
         return self._step_all([(t - by, joints if by == own else None, given) for by, given in by_delay.items()])

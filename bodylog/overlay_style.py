@@ -39,12 +39,12 @@ STYLE_SHEET = {"predicted": PREDICTED.plot, "truth": TRUTH.plot, "other": OTHER.
 """Names of the page's colours -> CSS."""
 
 
-def measured(track: str) -> Ink:
+def measurement_ink(track: str) -> Ink:
     """The colour of a track's measurements; of `camera/track`, the part behind the last / decides."""
     return MEASURED.get(track.rpartition("/")[2], OTHER)
 
 
-def ellipses(centre: Array, cov: Array) -> Array:
+def ellipse_corners(centre: Array, cov: Array) -> Array:
     """Corners (K,CORNERS,2) of the 2σ ellipses of cov (K,2,2) around centre (K,2); NaN where a variance is negative.
 
     A unit circle times the Cholesky factor of cov: every corner is SIGMAS standard deviations from the centre.

@@ -8,33 +8,33 @@ from typing import Any
 
 from . import default_features, learned_tests, verdict
 from .checks import (
-    distinct,
+    require_distinct_paths,
     log_context,
     require_features,
     require_sights,
     require_trainable,
-    same_camera,
-    same_size,
-    to_learn,
+    require_same_camera,
+    require_same_size,
+    select_features_to_learn,
 )
 from .errors import EvidenceError, InputError, ModelError, UsageError
 from .fault_findings import fault_warnings, sighting_findings, truth_findings
-from .io.atomic_files import sha256
+from .io.atomic_files import hash_files
 from .io.outputs import Output
-from .io.temporary import scratch
+from .io.temporary import create_scratch_folder
 from .io.text_paths import with_text_paths
-from .joints_only import joints_alone, without_body
+from .joints_only import read_joints_alone, without_body
 from .log_estimate import estimate_log
 from .log_estimate import infer as infer
 from .logs.limits import LIMITS
 from .logs.protocol import Progress
-from .observed import completed, moving, still_poses
+from .observed import add_recorded_joints, moving_features, still_pose_features
 from .result import NO_SCORES, Scores, estimate_result
 from .result import Result as Result
-from .scoring import against, score_estimate, with_true_poses
-from .settings import Settings, plain
+from .scoring import with_truth_beside_log, score_estimate, with_true_poses
+from .settings import Settings, settings_as_values
 from .types import Features, Finding, FrameConsumer, Recording
-from .written_messages import estimate_messages, feature_messages, provenance, topic_of
+from .written_messages import estimate_messages, feature_messages, provenance_of_logs, topic_of_role
 
 DEFAULTS = Settings()
 
@@ -44,7 +44,7 @@ def record(scenario: str, out: Path, **options: Any) -> Result:
     """Simulate a scenario into an ordinary log; UsageError names the scenarios and options possible."""
     from . import sim
 
-    sim.record(scenario, out, **options)
+    sim.record_scenario(scenario, out, **options)
     return Result(out)
 
 
@@ -61,14 +61,14 @@ def observe(
     from .recording import recording
 
     def searcher() -> FrameConsumer:
-        return perception.searcher(settings, progress)
+        return perception.frame_searcher(settings, progress)
 
-    read = recording.read(log, settings, settings.input.strict, searcher)
-    look = still_poses if read.poses else moving
+    read = recording.read_recording(log, settings, settings.input.strict, searcher)
+    look = still_pose_features if read.poses else moving_features
     found = look(read, settings, progress)
     if guess:
-        read, found = default_features.guessed(log, read, found, settings, partial(look, progress=progress))
-    return read, completed(read, found)
+        read, found = default_features.search_again_without_default(log, read, found, settings, partial(look, progress=progress))
+    return read, add_recorded_joints(read, found)
 
 
 @with_text_paths
@@ -80,19 +80,19 @@ def extract(
     from .annotating import annotate
     from .recording import tables as export
 
-    distinct([log], [Output(out), *folders("--csv", tables)], settings)
-    with annotate.annotating(log, out, whole=False, limits=settings.input) as written:
+    require_distinct_paths([log], [Output(out), *requested_folders("--csv", tables)], settings)
+    with annotate.open_annotation(log, out, whole=False, limits=settings.input) as written:
         read, features = observe(log, settings, progress, guess=True)
         require_features(log, features)
         roles = [role for role in read.roles if role.partition("/")[0] in ("joints", "truth", "skin")]
-        kept = [topic for role in roles if (topic := topic_of(read, role)) is not None]
+        kept = [topic for role in roles if (topic := topic_of_role(read, role)) is not None]
         lost = written.add(feature_messages(read, features), only=kept)
-        written.about(provenance([(log, written.digest())], read.settings))
+        written.about(provenance_of_logs([(log, written.digest())], read.settings))
     if tables is not None:
         export.export_features(features, tables)
     health = {**read.health, **features.health}
     found = (*read.findings, *features.findings, *sighting_findings(features), *lost)
-    return Result(out, NO_SCORES, health, found, plain(read.settings))
+    return Result(out, NO_SCORES, health, found, settings_as_values(read.settings))
 
 
 @with_text_paths
@@ -114,15 +114,15 @@ def fit(
 
     asked = settings
     bodies = () if update is None else (update,)
-    distinct([*logs, *test, *bodies, *robot_model.urdf_files(settings)], [Output(out)], settings)
-    known = None if update is None else storage.load(update)
+    require_distinct_paths([*logs, *test, *bodies, *robot_model.urdf_files(settings)], [Output(out)], settings)
+    known = None if update is None else storage.load_body(update)
     if known is not None and known.surface is not None:
         raise UsageError(f"{update}: a body of the robot's surface is not learned on; fit all logs together anew")
-    settings = settings if known is None else default_features.of_body(known, settings)
-    otherwise = robot_model.check(logs, settings)
+    settings = settings if known is None else default_features.features_of_body(known, settings)
+    otherwise = robot_model.check_urdf(logs, settings)
     if surface_body.is_asked(settings):
         return _fit_surface(logs, out, settings, test)
-    if otherwise is not None and default_features.unconfigured(settings):
+    if otherwise is not None and default_features.has_no_features(settings):
         return _fit_surface(logs, out, settings, test, otherwise)
     if otherwise is not None:
         raise ModelError(f"{otherwise}; rename them in the URDF")
@@ -131,39 +131,39 @@ def fit(
         with Copy(log) as read_too:
             observed.append(observe(log, settings, progress, guess=True))
             digests.append((log, read_too.digest()))
-        settings = default_features.of_log(observed[-1][0], settings)
-    features = to_learn([found for _, found in observed], settings)
+        settings = default_features.features_of_log(observed[-1][0], settings)
+    features = select_features_to_learn([found for _, found in observed], settings)
     cameras = features[0].cameras.values() if known is None else known.provenance.get("cameras", ())
     for log, (read, found) in zip(logs, observed, strict=True):
         require_trainable(log, found, settings)
-        camera_findings += same_camera(log, cameras, read, found)
+        camera_findings += require_same_camera(log, cameras, read, found)
     if known is None:
         require_sights(logs, observed)
-    origin = provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
+    origin = provenance_of_logs(digests, settings) | ({} if update is None else {"update_sha256": hash_files(update)})
     findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
-    robot, unfit = robot_model.robot(logs, features, settings)
+    robot, unfit = robot_model.find_robot(logs, features, settings)
     features, not_joints = robot_model.joints_of_urdf(features, robot)
     settings = robot_model.with_coordinates(settings, robot)
     try:
         with log_context(logs[0], [*findings, *unfit], len(logs) - 1):
-            learned = camera_delay.learned(features, settings, origin, known, robot)
+            learned = camera_delay.learn_with_delays(features, settings, origin, known, robot)
     except EvidenceError as problem:
-        fallback = known is None and robot is not None and default_features.unconfigured(asked)
+        fallback = known is None and robot is not None and default_features.has_no_features(asked)
         if not fallback or any(found.poses for found in features):
             raise
         try:
             return _fit_surface(logs, out, asked, test, str(problem))
         except InputError as also:
             raise EvidenceError(f"{problem}; nor by the robot's own surface: {also}") from also
-    learned = replace(learned, model=robot_model.based(learned.model, robot, features))
-    tested, more = learned_tests.score(learned.model, [(log, *observe(log, settings, progress)) for log in test])
+    learned = replace(learned, model=robot_model.with_robot_chain(learned.model, robot, features))
+    tested, more = learned_tests.score_learned_body(learned.model, [(log, *observe(log, settings, progress)) for log in test])
     storage.save(learned.model, out)
     findings = [*findings, *camera_findings, *unfit, *not_joints, *learned.findings, *learned.faint, *more]
     scores = (*learned.scores, *tested)
-    placed, others = calibration.summary(learned.model), robot_model.not_learned(learned.model, features)
-    text = verdict.of_body(learned.model.joints, scores, placed, others)
+    placed, others = calibration.summarise_placements(learned.model), robot_model.list_joints_not_learned(learned.model, features)
+    text = verdict.verdict_of_body(learned.model.joints, scores, placed, others)
     health = learned_tests.merged_health(observed)
-    return Result(out, Scores(scores), health, tuple(findings), plain(settings), verdict=text)
+    return Result(out, Scores(scores), health, tuple(findings), settings_as_values(settings), verdict=text)
 
 
 def _fit_surface(
@@ -180,16 +180,16 @@ def _fit_surface(
     digests, read = [], list[tuple[Path, Recording]]()
     for log in logs:
         with Copy(log) as read_too:
-            read.append((log, recording.read(log, settings, settings.input.strict)))
+            read.append((log, recording.read_recording(log, settings, settings.input.strict)))
             digests.append((log, read_too.digest()))
-    learned = surface_body.learn(read, settings, provenance(digests, settings))
+    learned = surface_body.learn_surface_body(read, settings, provenance_of_logs(digests, settings))
     storage.save(learned.model, out)
-    told = () if why is None else (Finding("warning", f"{why}; so it is learned by the robot's own surface"),)
-    findings = (*told, *(finding for _, one in read for finding in one.findings), *learned.findings)
-    placed = calibration.summary(learned.model)
-    text = verdict.of_body(learned.model.joints, learned.scores, placed)
+    urdf_warnings = () if why is None else (Finding("warning", f"{why}; so it is learned by the robot's own surface"),)
+    findings = (*urdf_warnings, *(finding for _, one in read for finding in one.findings), *learned.findings)
+    placed = calibration.summarise_placements(learned.model)
+    text = verdict.verdict_of_body(learned.model.joints, learned.scores, placed)
     by = "by the robot's own surface, without a marker"
-    return Result(out, Scores(learned.scores), {}, findings, plain(settings), verdict=(by, *text))
+    return Result(out, Scores(learned.scores), {}, findings, settings_as_values(settings), verdict=(by, *text))
 
 
 @with_text_paths
@@ -202,35 +202,35 @@ def estimate(
     Without `out`, nothing is left behind but the result.
     """
     if out is None:
-        with scratch() as folder:
+        with create_scratch_folder() as folder:
             return replace(estimate(log, body, folder / "estimate.mcap", settings, progress), output=None)
     from . import estimation, robot_model, surface_estimate
     from .annotating import annotate, estimate_metadata
     from .body import storage
 
-    distinct([log, *(robot_model.urdf_files(settings) if body is None else [body])], [Output(out)], settings)
+    require_distinct_paths([log, *(robot_model.urdf_files(settings) if body is None else [body])], [Output(out)], settings)
     typed = settings
-    known = None if body is None else storage.load(body)
+    known = None if body is None else storage.load_body(body)
     if known is not None:
-        settings = default_features.of_body(known, settings)
-        estimation.check(known, settings.estimate)
-    with annotate.annotating(log, out, limits=settings.input) as written:
+        settings = default_features.features_of_body(known, settings)
+        estimation.check_estimation_settings(known, settings.estimate)
+    with annotate.open_annotation(log, out, limits=settings.input) as written:
         by_joints = known is None or known.surface is not None
-        read, features = joints_alone(log, settings, known) if by_joints else observe(log, settings, progress)
+        read, features = read_joints_alone(log, settings, known) if by_joints else observe(log, settings, progress)
         learned = without_body(read, settings) if known is None else known
         written.copy()
-        cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
-        same_size(log, learned, features, settings)
+        cameras = require_same_camera(log, learned.provenance.get("cameras", ()), read, features)
+        require_same_size(log, learned, features, settings)
         if learned.surface is None:
             found = estimate_log(log, read, features, learned, settings, typed)
         else:
-            found = surface_estimate.estimate(log, read, features, learned, settings)
+            found = surface_estimate.estimate_by_surface(log, read, features, learned, settings)
         lost = written.add(estimate_messages(read, features, found))
         read = with_true_poses(log, found, read)
         scores = score_estimate(found, read)
-        origin = provenance([(log, written.digest())], read.settings)
+        origin = provenance_of_logs([(log, written.digest())], read.settings)
         written.about(
-            origin | ({} if body is None else {"body_sha256": sha256(body)}) | estimate_metadata.describe(found)
+            origin | ({} if body is None else {"body_sha256": hash_files(body)}) | estimate_metadata.describe_estimate(found)
         )
     findings = (*read.findings, *features.findings, *cameras, *found.findings, *fault_warnings(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
@@ -243,11 +243,11 @@ def evaluate(log: Path, settings: Settings = DEFAULTS, truth: Path | None = None
     from .annotating import read_back
     from .recording import recording
 
-    read = recording.read(log, settings, settings.input.strict)
+    read = recording.read_recording(log, settings, settings.input.strict)
     found = read_back.read_estimate(log, read.start_ns)
     read = with_true_poses(log, found, read)
     if truth is not None:
-        read = against(truth, found, read, settings)
+        read = with_truth_beside_log(truth, found, read, settings)
     findings = (*read.findings, *fault_warnings(found.faults), *truth_findings(found, read.truth))
     scores = score_estimate(found, read)
     return estimate_result(log, found, scores, found.used, findings)
@@ -263,12 +263,12 @@ def ingest(
     from .recording import tables as export
 
     tables = tables or {}
-    distinct([log], [Output(out), *(Output(folder, f"--{form}", True) for form, folder in tables.items())], settings)
+    require_distinct_paths([log], [Output(out), *(Output(folder, f"--{form}", True) for form, folder in tables.items())], settings)
     for form in tables:
-        export.saver(form)  # refused before the log is read
-    findings = tuple(tidy.ingest(log, out, settings, progress=progress, **window))
+        export.choose_table_writer(form)  # refused before the log is read
+    findings = tuple(tidy.write_tidy_log(log, out, settings, progress=progress, **window))
     for form, folder in tables.items():
-        export.export(recording.read(out, Settings()), folder, form)
+        export.export_signals(recording.read_recording(out, Settings()), folder, form)
     return Result(out, findings=findings)
 
 
@@ -286,18 +286,18 @@ def convert(
     from .logs.conversion import extract as conversion
     from .recording import lerobot_writer
 
-    distinct(logs, [Output(out)], settings)
+    require_distinct_paths(logs, [Output(out)], settings)
     if form not in ("mcap", *lerobot_writer.FORMS):
         raise UsageError(f"--to {form}: possible are mcap, {', '.join(lerobot_writer.FORMS)}")
     if form != "mcap":
-        return Result(out, findings=lerobot_writer.write(logs, out, settings, form, how, task, progress, **window))
+        return Result(out, findings=lerobot_writer.write_lerobot(logs, out, settings, form, how, task, progress, **window))
     if len(logs) != 1:
         raise UsageError(f"{len(logs)} logs: an MCAP is made of one; a dataset of several, with --to lerobot")
-    return Result(out, findings=conversion.convert(logs[0], out, topics, progress=progress, **window))
+    return Result(out, findings=conversion.convert_to_mcap(logs[0], out, topics, progress=progress, **window))
 
 
 @with_text_paths
-def doctor(log: Path, repair: Path | None = None, settings: Settings | None = None, progress: Progress | None = None,
+def diagnose_log(log: Path, repair: Path | None = None, settings: Settings | None = None, progress: Progress | None = None,
            body: Path | None = None) -> Result:  # fmt: skip
     """What is wrong with a log, with settings its camera delays too (see delay_findings); `repair`: a sound copy."""
     from . import delay_findings, surface_findings
@@ -305,21 +305,21 @@ def doctor(log: Path, repair: Path | None = None, settings: Settings | None = No
     from .logs.conversion import examination as logs_doctor
 
     limits = LIMITS if settings is None else settings.input
-    distinct([log, *(() if body is None else [body])], [] if repair is None else [Output(repair, "--repair")])
-    known = None if body is None else storage.load(body)
-    findings = logs_doctor.examine(log, limits.strict, limits, progress)
-    late = delay_findings.Examined() if settings is None else surface_findings.examine_delays(log, known, settings)
+    require_distinct_paths([log, *(() if body is None else [body])], [] if repair is None else [Output(repair, "--repair")])
+    known = None if body is None else storage.load_body(body)
+    findings = logs_doctor.examine_log_file(log, limits.strict, limits, progress)
+    late = delay_findings.ExaminedDelays() if settings is None else surface_findings.examine_delays(log, known, settings)
     if repair is not None:
-        logs_doctor.repair(log, repair, limits)
+        logs_doctor.rewrite_sound_messages(log, repair, limits)
     return Result(repair, Scores(late.scores), findings=(*findings, *late.findings))
 
 
-def folders(option: str, *paths: Path | None) -> tuple[Output, ...]:
+def requested_folders(option: str, *paths: Path | None) -> tuple[Output, ...]:
     """Folders to write into, without those that are not asked for."""
     return tuple(Output(path, option, True) for path in paths if path is not None)
 
 
-def count(log: Path) -> int:
+def count_declared_messages(log: Path) -> int:
     """Messages a log declares."""
     from .logs.formats import open_log
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from . import headline, verdict
-from .scoring import bounded
+from .scoring import list_bounded_figures
 from .types import Estimate, Fault, Finding, Health, Score
 
 
@@ -76,7 +76,7 @@ def estimate_result(
         tuple(findings),
         dict(found.settings),
         found.faults,
-        figures=Scores(bounded(found, scores)),
-        verdict=verdict.of_estimate(found, scores),
-        headline=headline.of_estimate(found, scores),
+        figures=Scores(list_bounded_figures(found, scores)),
+        verdict=verdict.verdict_of_estimate(found, scores),
+        headline=headline.headline_of_estimate(found, scores),
     )

@@ -10,7 +10,7 @@ from .body_model import BodyModel
 from .errors import FormatError, LogError, ModelError
 from .settings import Settings
 from .types import Array, Features, Finding
-from .wording import listed
+from .wording import list_in_words
 
 if TYPE_CHECKING:
     from .body.kinematic.learn import Robotics
@@ -31,7 +31,7 @@ def urdf_files(settings: Settings) -> tuple[Path, ...]:
     return () if urdf in (None, FROM_LOG) else (Path(str(urdf)),)
 
 
-def robot(
+def find_robot(
     logs: Sequence[Path], features: Sequence[Features], settings: Settings
 ) -> "tuple[Robotics | None, tuple[Finding, ...]]":
     """The robot, or None without a URDF or if it is not to be used; a remark on an unsuitable one.
@@ -46,17 +46,17 @@ def robot(
 
     from .body.kinematic.learn import Robotics
     from .kinematics import urdf
-    from .recording.robot_description import described
+    from .recording.robot_description import read_robot_description
 
-    descriptions = [described(log, settings.input) for log in logs]
-    if (known := _of_frame(features)) is not None and chosen.urdf is None:
-        return Robotics(known, _hints(known, descriptions, features, settings), 0.0, True, 0.0), ()
+    descriptions = [read_robot_description(log, settings.input) for log in logs]
+    if (known := _robot_of_frame(features)) is not None and chosen.urdf is None:
+        return Robotics(known, _build_camera_hints(known, descriptions, features, settings), 0.0, True, 0.0), ()
     texts = [(log, one.urdf) for log, one in zip(logs, descriptions, strict=True) if one.urdf]
     if chosen.urdf not in (None, FROM_LOG):
-        found = urdf.load(Path(str(chosen.urdf)), settings.input)
+        found = urdf.load_urdf(Path(str(chosen.urdf)), settings.input)
     elif texts:
         try:
-            found = _from_log(*texts[0], settings)
+            found = _parse_logged_urdf(*texts[0], settings)
         except (FormatError, ModelError) as problem:
             if chosen.urdf is not None:
                 raise
@@ -66,11 +66,11 @@ def robot(
     else:
         raise LogError(_NO_URDF.format(logs[0]))
     asked = chosen.urdf is not None
-    hints = _hints(found, descriptions, features, settings)
+    hints = _build_camera_hints(found, descriptions, features, settings)
     return Robotics(found, hints, radians(chosen.offset_prior), asked, chosen.scale_prior), ()
 
 
-def _of_frame(features: Sequence[Features]) -> "Robot | None":
+def _robot_of_frame(features: Sequence[Features]) -> "Robot | None":
     """The robot of logs whose joints are the coordinates of one frame; None for other joints."""
     from .kinematics.frame_robot import frame_robot
     from .logs.tables.frame_columns import frame_of
@@ -100,7 +100,7 @@ def joints_of_urdf(
             names = tuple(joints.names[k] for k in known)
             found = replace(found, joints=replace(joints, values=joints.values[:, known], names=names))
             what = "these columns are not in it, so they are no joints"
-            findings.append(Finding("info", f"{robot.robot.source}: {what}: {listed(others)}"))
+            findings.append(Finding("info", f"{robot.robot.source}: {what}: {list_in_words(others)}"))
         kept.append(found)
     return in_chain_order(kept, robot), tuple(findings)
 
@@ -117,7 +117,7 @@ def with_coordinates(settings: Settings, robot: "Robotics | None") -> Settings:
     return replace(settings, body=replace(settings.body, joints=names))
 
 
-def check(logs: Sequence[Path], settings: Settings) -> str | None:
+def check_urdf(logs: Sequence[Path], settings: Settings) -> str | None:
     """Check a URDF before images are read: FormatError if it is invalid, ModelError without any of the joints.
 
     Why a marker cannot be placed on it, where it has a log's joints by names that are spelt otherwise; else None.
@@ -127,12 +127,12 @@ def check(logs: Sequence[Path], settings: Settings) -> str | None:
         return None
     from .kinematics import urdf
     from .kinematics.joint_names import match_joints
-    from .recording.robot_description import described
+    from .recording.robot_description import read_robot_description
 
-    found = urdf.load(Path(str(chosen.urdf)), settings.input)
+    found = urdf.load_urdf(Path(str(chosen.urdf)), settings.input)
     otherwise = None
     for log in logs:
-        names = described(log, settings.input).joints
+        names = read_robot_description(log, settings.input).joints
         if not names or set(names) & set(found.by_name):
             continue
         alike = match_joints(names, found.by_name)
@@ -144,21 +144,21 @@ def check(logs: Sequence[Path], settings: Settings) -> str | None:
     return otherwise
 
 
-def limits(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":
+def joint_limits_of_log(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":
     """Joint limits and their source, by the named URDF or else the log's own; empty without a URDF.
 
     FormatError where the named URDF cannot be read, LogError where the log's own is named but missing.
     """
     from .kinematics import urdf
-    from .recording.robot_description import described
+    from .recording.robot_description import read_robot_description
 
     chosen = settings.kinematics
     if not chosen.use:
         return {}, ""
     if chosen.urdf not in (None, FROM_LOG):
-        found, source = urdf.load(Path(str(chosen.urdf)), settings.input), str(chosen.urdf)
-    elif text := described(log, settings.input).urdf:
-        found, source = _from_log(log, text, settings), "/robot_description"
+        found, source = urdf.load_urdf(Path(str(chosen.urdf)), settings.input), str(chosen.urdf)
+    elif text := read_robot_description(log, settings.input).urdf:
+        found, source = _parse_logged_urdf(log, text, settings), "/robot_description"
     elif chosen.urdf == FROM_LOG:
         raise LogError(_NO_URDF.format(log))
     else:
@@ -169,24 +169,24 @@ def limits(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":
 _NO_URDF = "{}: no /robot_description in it; give the URDF's file: --urdf ROBOT.urdf"
 
 
-def _from_log(log: Path, text: str, settings: Settings) -> "Robot":
+def _parse_logged_urdf(log: Path, text: str, settings: Settings) -> "Robot":
     from .kinematics import urdf
 
-    return urdf.parse(text, f"{log}: /robot_description", settings.input)
+    return urdf.parse_urdf(text, f"{log}: /robot_description", settings.input)
 
 
-def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features]) -> BodyModel:
+def with_robot_chain(body: BodyModel, known: "Robotics | None", features: Sequence[Features]) -> BodyModel:
     """Add to each kinematic sense the chain from the robot's root, and the sizes of the images to the provenance."""
     if known is None:
         return body
-    from .body.kinematic.learn import still
+    from .body.kinematic.learn import still_joint_angles
     from .body.kinematic.model import KinematicGP
     from .body.kinematic.placements import IMAGE_SIZES
-    from .kinematics.pose import based
+    from .kinematics.pose import find_base
 
-    held = still(features, body.joints)
+    held = still_joint_angles(features, body.joints)
     senses = {
-        name: replace(one, base=based(known.robot, one.rig, one.theta, held))
+        name: replace(one, base=find_base(known.robot, one.rig, one.theta, held))
         if isinstance(one, KinematicGP) and one.base is None
         else one
         for name, one in body.senses.items()
@@ -215,13 +215,13 @@ def in_chain_order(features: Sequence[Features], known: "Robotics | None") -> li
     return ordered
 
 
-def not_learned(body: BodyModel, features: Sequence[Features]) -> tuple[str, ...]:
+def list_joints_not_learned(body: BodyModel, features: Sequence[Features]) -> tuple[str, ...]:
     """Joints with readings over which the body was not learned, each once."""
     names = (name for one in features if one.joints is not None for name in one.joints.names)
     return tuple(name for name in dict.fromkeys(names) if name not in body.joints)
 
 
-def _hints(
+def _build_camera_hints(
     robot: "Robot", descriptions: "Sequence[Described]", features: Sequence[Features], settings: Settings
 ) -> "dict[str, CameraHint]":
     """Hints on each camera by name, from the logs; on the first one from [camera] too."""
@@ -233,8 +233,8 @@ def _hints(
     hints = {}
     for name in sorted(names):
         size = next((found.picture_size for found in features if found.picture_size and not name), None)
-        told = [hint for one in descriptions if (hint := told_camera(topics.get(name), one, robot)) is not None]
-        hint = told[0] if told else CameraHint(size=size, extent=_extent(name, features))
+        camera_hints = [hint for one in descriptions if (hint := describe_logged_camera(topics.get(name), one, robot)) is not None]
+        hint = camera_hints[0] if camera_hints else CameraHint(size=size, extent=_image_extent(name, features))
         hints[name] = hint if name else with_known(hint, settings.camera, robot)
     return hints
 
@@ -242,53 +242,53 @@ def _hints(
 def named_robot(log: Path, settings: Settings) -> "Robot":
     """The robot of the URDF that the settings name, or of the log's own. LogError where that is missing."""
     from .kinematics import urdf
-    from .recording.robot_description import described
+    from .recording.robot_description import read_robot_description
 
     chosen = settings.kinematics.urdf
     if chosen not in (None, FROM_LOG):
-        return urdf.load(Path(str(chosen)), settings.input)
-    text = described(log, settings.input).urdf
+        return urdf.load_urdf(Path(str(chosen)), settings.input)
+    text = read_robot_description(log, settings.input).urdf
     if not text:
         raise LogError(_NO_URDF.format(log))
-    return _from_log(log, text, settings)
+    return _parse_logged_urdf(log, text, settings)
 
 
 def named_urdf(log: Path, settings: Settings) -> str:
     """The text of the URDF that the settings name, or of the log's own. LogError where that is missing."""
     from .kinematics import urdf
-    from .recording.robot_description import described
+    from .recording.robot_description import read_robot_description
 
     chosen = settings.kinematics.urdf
     if chosen not in (None, FROM_LOG):
-        return urdf.text(Path(str(chosen)))
-    text = described(log, settings.input).urdf
+        return urdf.read_urdf_text(Path(str(chosen)))
+    text = read_robot_description(log, settings.input).urdf
     if not text:
         raise LogError(_NO_URDF.format(log))
     return text
 
 
-def told_camera(topic: str | None, description: "Described", robot: "Robot") -> "CameraHint | None":
+def describe_logged_camera(topic: str | None, description: "Described", robot: "Robot") -> "CameraHint | None":
     """What a log's description tells of the camera of an image topic; None without its CameraInfo."""
     from .kinematics.links import CameraHint
 
-    info = _info(topic, description.cameras)
+    info = _find_camera_info(topic, description.cameras)
     if info is None:
         return None
-    link, pose = _placed(info.frame, robot, description.transforms)
-    return CameraHint(link, pose, _lens(info), (info.width, info.height))
+    link, pose = _find_mounting_link(info.frame, robot, description.transforms)
+    return CameraHint(link, pose, _lens_of_info(info), (info.width, info.height))
 
 
-def _info(topic: str | None, cameras: "Mapping[str, CameraInfo]") -> "CameraInfo | None":
+def _find_camera_info(topic: str | None, cameras: "Mapping[str, CameraInfo]") -> "CameraInfo | None":
     """The CameraInfo of an image topic."""
-    from .recording.cameras import camera_name
+    from .recording.cameras import camera_name_of_source
 
     if topic is None:
         return None
     known = {name.rpartition("/")[0].strip("/"): info for name, info in cameras.items()}
-    return known.get(camera_name(topic))
+    return known.get(camera_name_of_source(topic))
 
 
-def _extent(name: str, features: Sequence[Features]) -> tuple[int, int] | None:
+def _image_extent(name: str, features: Sequence[Features]) -> tuple[int, int] | None:
     """An image size (px) that contains all positions; None without any."""
     import numpy as np
 
@@ -300,7 +300,7 @@ def _extent(name: str, features: Sequence[Features]) -> tuple[int, int] | None:
     return None
 
 
-def _placed(
+def _find_mounting_link(
     frame: str, robot: "Robot", transforms: "Mapping[str, tuple[str, Array]]"
 ) -> "tuple[str | None, Array | None]":
     """The link to which fixed transforms attach a frame, and its pose (4,4) there, None where it is that link."""
@@ -318,7 +318,7 @@ def _placed(
     return frame, None if len(seen) == 1 else pose
 
 
-def _lens(info: "CameraInfo") -> "Array":
+def _lens_of_info(info: "CameraInfo") -> "Array":
     """The six lens parameters; distortion other than radial is ignored."""
     import numpy as np
 

@@ -38,7 +38,7 @@ RENAMED: Mapping[str, str] = {
 _LONGEST_FIRST = sorted(FIGURES, key=len, reverse=True)
 
 
-def split(name: str) -> tuple[str, str]:
+def split_score_name(name: str) -> tuple[str, str]:
     """A score's figure and its part, "" for the whole."""
     for figure in _LONGEST_FIRST:
         if name == figure or name.startswith(f"{figure}/"):
@@ -47,14 +47,14 @@ def split(name: str) -> tuple[str, str]:
     return figure, part
 
 
-def unit(name: str) -> str:
+def score_unit(name: str) -> str:
     """The unit of a score, "" where its name does not give it."""
-    return FIGURES.get(split(name)[0], "")
+    return FIGURES.get(split_score_name(name)[0], "")
 
 
-def renamed(name: str) -> str | None:
+def current_score_name(name: str) -> str | None:
     """What a score of an earlier version is called now; None for a name of today, or no name at all."""
-    figure, part = split(name)
+    figure, part = split_score_name(name)
     if figure in FIGURES or any(fnmatchcase(one, name) for one in FIGURES):
         return None
     if figure in RENAMED:

@@ -4,21 +4,21 @@ from dataclasses import replace
 from pathlib import Path
 
 from .errors import InputError, LogError
-from .settings import Settings, Topics
+from .settings import Settings, TopicSettings
 from .types import Estimate, Poses, Recording, Score, Series
 
 
 def score_estimate(found: Estimate, read: Recording) -> tuple[Score, ...]:
     """Figures of merit; those against truth only where the recording carries it."""
-    from .evaluation.figures import delays
-    from .evaluation.scores import scores
+    from .evaluation.figures import list_delays
+    from .evaluation.scores import score_angles
 
-    found_scores = (*scores(found, read.truth, read.joints), *delays(found))
+    found_scores = (*score_angles(found, read.truth, read.joints), *list_delays(found))
     if found.effector is None or read.truth_pose is None:
         return found_scores
     from .evaluation import poses
 
-    return (*found_scores, *poses.scores(found.effector, read.truth_pose))
+    return (*found_scores, *poses.score_poses(found.effector, read.truth_pose))
 
 
 def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
@@ -30,12 +30,12 @@ def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
     return replace(read, truth_pose=pose_topics.true_poses(log, read.start_ns))
 
 
-def against(path: Path, found: Estimate, read: Recording, settings: Settings) -> Recording:
+def with_truth_beside_log(path: Path, found: Estimate, read: Recording, settings: Settings) -> Recording:
     """The recording with the truth in a file beside it; InputError where that says nothing about the estimate."""
     if (poses := _poses_beside(path, read)) is not None:
         return _comparable_poses(path, found, replace(read, truth_pose=poses))
-    read = replace(read, truth=_beside(path, read, settings))
-    _comparable(path, found, read)
+    read = replace(read, truth=_read_truth_beside_log(path, read, settings))
+    _require_comparable_truth(path, found, read)
     return read
 
 
@@ -59,29 +59,29 @@ def _comparable_poses(path: Path, found: Estimate, read: Recording) -> Recording
     return read
 
 
-def _beside(path: Path, read: Recording, settings: Settings) -> Series:
+def _read_truth_beside_log(path: Path, read: Recording, settings: Settings) -> Series:
     """The true angles in a file beside the log, t in s since the recording's start."""
     from .evaluation import truth
     from .recording import recording
 
     if path.suffix in (".csv", ".npz"):
-        return truth.load(path, read.start_ns, read.joints)
+        return truth.load_truth(path, read.start_ns, read.joints)
     # the names of topics are those of the log that was estimated
-    other = recording.read(path, Settings(topics=Topics(truth=settings.topics.truth)), settings.input.strict)
+    other = recording.read_recording(path, Settings(topics=TopicSettings(truth=settings.topics.truth)), settings.input.strict)
     angles = other.truth if other.truth is not None else other.joints
     if angles is None:
         raise LogError(f"{path}: neither truth nor joints in it; type: bodylog info {path}")
     return replace(angles, t=angles.t + (other.start_ns - read.start_ns) / 1e9)
 
 
-def bounded(found: Estimate, scores: tuple[Score, ...]) -> tuple[Score, ...]:
+def list_bounded_figures(found: Estimate, scores: tuple[Score, ...]) -> tuple[Score, ...]:
     """Everything that --fail-if may name: the scores, faults, delays and shares used."""
-    from .evaluation.figures import figures
+    from .evaluation.figures import list_figures
 
-    return (*scores, *figures(found))
+    return (*scores, *list_figures(found))
 
 
-def _comparable(path: Path, found: Estimate, read: Recording) -> None:
+def _require_comparable_truth(path: Path, found: Estimate, read: Recording) -> None:
     """InputError where truth from a file beside the log is of other joints, or of another time, than the estimate."""
     truth, t = read.truth, found.joints.t
     assert truth is not None

@@ -2,7 +2,7 @@
 
 A sighting y (2,) px is that of a body's track at the encoders' angles x, y = g(x) + e with e ~ N(0, S), or with
 probability ODD it is something else, anywhere in the image. S holds the body's own uncertainty, the noise of encoders
-and track, and LATE s of delay. The log's noise is not learned here: a log that does not fit would be all noise.
+and track, and MIN_DELAY_S s of delay. The log's noise is not learned here: a log that does not fit would be all noise.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,26 +12,26 @@ from functools import cached_property
 import numpy as np
 
 from .body_model import BodyModel, ForwardModel
-from .estimation.faults.encoder_faults import repaired
-from .estimation.faults.threshold import FAR, LATE
+from .estimation.faults.encoder_faults import repair_readings
+from .estimation.faults.threshold import PRIOR_STD_RAD, MIN_DELAY_S
 from .estimation.inference.initial_path import OFFSET_STD
-from .estimation.measurements.gather import gather
-from .estimation.measurements.long_arrays import FEWEST, seen
+from .estimation.measurements.gather import gather_measurements
+from .estimation.measurements.long_arrays import MIN_READINGS, find_finite_rows
 from .estimation.measurements.records import Encoders, Sighting
-from .settings import Estimation
+from .settings import EstimationSettings
 from .types import Array, Features
 
 OFF_SIGMA = 3.0
 """Standard deviations beyond which a sighting is off."""
 MOST_TRACKS, MOST_ROWS = 4, 160
 """Tracks and sightings that are compared, evenly spread: more of them do not change which explanation wins."""
-ODD = 0.05
+OUTLIER_PROBABILITY = 0.05
 """Probability that a sighting is of something else."""
 LONGEST_GAP_S = 0.3
 """s: encoder readings farther from a sighting say nothing about it."""
 DELAY_STD_S = 0.05
 """s: prior standard deviation of a camera's delay that is not corrected."""
-TURN = 0.1
+TURN_STD = 0.1
 """Prior standard deviation of the entries of a small turn's matrix: some degrees, a tenth in scale."""
 WALK, OFFSET, MOVED, TURNED, LATE_KIND = "walk", "offset", "moved", "turned", "late"
 """Kinds of unknowns: a joint's offset that wanders, a constant one; an image that moves at some time, that is affine in
@@ -47,7 +47,7 @@ _OFFSETS = np.linspace(-np.pi, np.pi, 33)
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class TrackSightings:
     """Sightings of one track at t (N,) s: y (N,2) px of variance var (N,2), the angles x (N,M) read at t, of variance
     (M,), and the rates of x (N,M) rad/s.
     """
@@ -63,7 +63,7 @@ class Sightings:
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class UnknownColumns:
     """Unknowns that a fault adds, and their prior precision: the offset of a `joint` is shape (N,K) times K unknowns;
     without a joint, a delay is one unknown, and the displacement of each image coordinate has K.
     """
@@ -75,7 +75,7 @@ class Columns:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedUnknowns:
     """−ln p (nats) of the sightings with the likeliest values of some unknowns, and the share of them off."""
 
     nats: float
@@ -86,7 +86,7 @@ class Fitted:
 class SightingLog:
     """The sightings of a log's tracks, and the area of the image, px²."""
 
-    tracks: tuple[Sightings, ...]
+    tracks: tuple[TrackSightings, ...]
     area: float
 
     @cached_property
@@ -109,34 +109,34 @@ class SightingLog:
         return replace(self, tracks=tuple(tracks))
 
 
-def select_sightings(features: Features, body: BodyModel, settings: Estimation) -> SightingLog | None:
+def select_sightings(features: Features, body: BodyModel, settings: EstimationSettings) -> SightingLog | None:
     """The sightings to compare; None where a joint is missing, or too little is seen."""
     joints = features.joints
     if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
         return None
-    found = gather(features, body, replace(settings, without=(*settings.without, "touch")))
+    found = gather_measurements(features, body, replace(settings, without=(*settings.without, "touch")))
     named = [one for one in found.sightings if one.name in features.tracks and one.model.outputs == ("u", "v")]
     if found.encoders is None or not named:
         return None
-    encoders = found.encoders if features.poses else repaired(found.encoders)
-    some = _spread(named, MOST_TRACKS)
-    tracks = [track for one in some if len((track := _sightings(one, encoders, MOST_ROWS // len(some))).t)]
-    if sum(len(track.t) for track in tracks) < FEWEST:
+    encoders = found.encoders if features.poses else repair_readings(found.encoders)
+    some = _spread_evenly(named, MOST_TRACKS)
+    tracks = [track for one in some if len((track := _select_track_sightings(one, encoders, MOST_ROWS // len(some))).t)]
+    if sum(len(track.t) for track in tracks) < MIN_READINGS:
         return None
     places = np.concatenate([track.y for track in tracks])
     size = features.picture_size or tuple(np.maximum(np.ptp(places, axis=0), 1.0))
     return SightingLog(tuple(tracks), float(size[0] * size[1]))
 
 
-def _spread(items: Sequence[Sighting], most: int) -> list[Sighting]:
+def _spread_evenly(items: Sequence[Sighting], most: int) -> list[Sighting]:
     """At most `most` of the items, evenly spread."""
     places = np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).astype(int))
     return [items[place] for place in places]
 
 
-def _sightings(sighting: Sighting, encoders: Encoders, most: int) -> Sightings:
+def _select_track_sightings(sighting: Sighting, encoders: Encoders, most: int) -> TrackSightings:
     """At most `most` sightings of a track, where all joints are read close by."""
-    shown = np.flatnonzero(seen(sighting.values))
+    shown = np.flatnonzero(find_finite_rows(sighting.values))
     for column in encoders.values.T:
         known = np.append(encoders.t[np.isfinite(column)], np.inf)
         after = np.searchsorted(known, sighting.t[shown]).clip(1, max(len(known) - 2, 1))
@@ -146,7 +146,7 @@ def _sightings(sighting: Sighting, encoders: Encoders, most: int) -> Sightings:
     t, apart = sighting.t[shown], 0.5 * LONGEST_GAP_S
     rate = (encoders.at(t + apart) - encoders.at(t - apart)) / (2.0 * apart)
     x, values, var = encoders.at(t), sighting.values[shown], sighting.var[shown]
-    return Sightings(sighting.name, sighting.model, t, values, var, x, encoders.variance, rate)
+    return TrackSightings(sighting.name, sighting.model, t, values, var, x, encoders.variance, rate)
 
 
 def wide_nats(log: SightingLog) -> float:
@@ -154,14 +154,14 @@ def wide_nats(log: SightingLog) -> float:
     nats = 0.0
     for track in log.tracks:
         mean, jac, var = track.model.predict(track.x)
-        nats += float(_each_nats(track.y - mean, _WIDENED**2 * _covariance(track, jac, var), log.area)[0].sum())
+        nats += float(_each_nats(track.y - mean, _WIDENED**2 * _sighting_covariance(track, jac, var), log.area)[0].sum())
     return nats
 
 
-def _covariance(track: Sightings, jac: Array, model: Array) -> Array:
+def _sighting_covariance(track: TrackSightings, jac: Array, model: Array) -> Array:
     """Covariance (N,2,2) px² of the sightings about their predictions."""
     speed = np.einsum("ndm,nm->nd", jac, track.rate)
-    cov = np.einsum("ndm,m,nem->nde", jac, track.encoder_var, jac) + LATE**2 * speed[:, :, None] * speed[:, None, :]
+    cov = np.einsum("ndm,m,nem->nde", jac, track.encoder_var, jac) + MIN_DELAY_S**2 * speed[:, :, None] * speed[:, None, :]
     diagonal = np.einsum("ndd->nd", cov)
     diagonal += model + track.var
     diagonal += ROUNDING * diagonal.sum(axis=1, keepdims=True)
@@ -171,55 +171,55 @@ def _covariance(track: Sightings, jac: Array, model: Array) -> Array:
 def _each_nats(off: Array, cov: Array, area: float) -> tuple[Array, Array]:
     """−ln p (N,) of residuals (N,2) px, each of the track or, ODD, anywhere; and probabilities (N,) of the former."""
     square = np.einsum("nd,nd->n", off, np.linalg.solve(cov, off[..., None])[..., 0])
-    track = np.log1p(-ODD) - 0.5 * (square + np.linalg.slogdet(2.0 * np.pi * cov)[1])
-    odd = np.log(ODD / area)
+    track = np.log1p(-OUTLIER_PROBABILITY) - 0.5 * (square + np.linalg.slogdet(2.0 * np.pi * cov)[1])
+    odd = np.log(OUTLIER_PROBABILITY / area)
     total = np.logaddexp(track, odd)
     return -total, np.exp(track - total)
 
 
-def usual_offsets(log: SightingLog) -> tuple[Columns, ...]:
+def usual_offsets(log: SightingLog) -> tuple[UnknownColumns, ...]:
     """Unknowns of every log: encoders' offsets that are no faults."""
     m = log.tracks[0].x.shape[1]
     shape = tuple(np.ones((len(track.t), 1)) for track in log.tracks)
     small = np.array([[OFFSET_STD**-2]])
-    return tuple(Columns(OFFSET, joint, shape, small) for joint in range(m))
+    return tuple(UnknownColumns(OFFSET, joint, shape, small) for joint in range(m))
 
 
-def possible_faults(log: SightingLog) -> Iterator[Columns]:
+def possible_faults(log: SightingLog) -> Iterator[UnknownColumns]:
     """Yield the faults that may be in any log: a joint's offset that wanders, a camera that is late or moved."""
     m, t = log.tracks[0].x.shape[1], np.concatenate([track.t for track in log.tracks])
     knots = np.linspace(t.min(), t.max() + 1e-9, _KNOTS)
     width = knots[1] - knots[0]
     hats = tuple(np.maximum(0.0, 1.0 - np.abs(track.t[:, None] - knots) / width) for track in log.tracks)
-    steps = np.diff(np.eye(_KNOTS), axis=0) / FAR
-    walk = steps.T @ steps + np.eye(_KNOTS) * (0.1 / FAR) ** 2
+    steps = np.diff(np.eye(_KNOTS), axis=0) / PRIOR_STD_RAD
+    walk = steps.T @ steps + np.eye(_KNOTS) * (0.1 / PRIOR_STD_RAD) ** 2
     for joint in range(m):
-        yield Columns(WALK, joint, hats, walk)
+        yield UnknownColumns(WALK, joint, hats, walk)
     image = log.area**0.5
     for onset in np.quantile(t, np.arange(_ONSETS) / _ONSETS):
         both = tuple(np.column_stack([np.ones(len(track.t)), track.t >= onset]) for track in log.tracks)
-        yield Columns(f"{MOVED} at {onset:.3f} s", None, both, np.eye(4) / image**2)
+        yield UnknownColumns(f"{MOVED} at {onset:.3f} s", None, both, np.eye(4) / image**2)
     constant = tuple(np.ones((len(track.t), 1)) for track in log.tracks)
-    yield Columns(TURNED, None, constant, np.eye(6) / np.tile([image, TURN, TURN], 2) ** 2)
-    yield Columns(LATE_KIND, None, constant, np.array([[DELAY_STD_S**-2]]))
+    yield UnknownColumns(TURNED, None, constant, np.eye(6) / np.tile([image, TURN_STD, TURN_STD], 2) ** 2)
+    yield UnknownColumns(LATE_KIND, None, constant, np.array([[DELAY_STD_S**-2]]))
 
 
-def constant_offsets(log: SightingLog) -> Iterator[Columns]:
+def constant_offsets(log: SightingLog) -> Iterator[UnknownColumns]:
     """Yield a constant offset of each joint."""
     one = tuple(np.ones((len(track.t), 1)) for track in log.tracks)
     for joint in range(log.tracks[0].x.shape[1]):
-        yield Columns(OFFSET, joint, one, np.array([[FAR**-2]]))
+        yield UnknownColumns(OFFSET, joint, one, np.array([[PRIOR_STD_RAD**-2]]))
 
 
-def fit_unknowns(log: SightingLog, unknowns: Sequence[Columns]) -> Fitted:
+def fit_unknowns(log: SightingLog, unknowns: Sequence[UnknownColumns]) -> FittedUnknowns:
     """Fit some unknowns to the sightings by robust Gauss-Newton, from wide errors to true ones."""
     precision = _block_diagonal([one.precision for one in unknowns])
-    values = _start(log, unknowns)
-    deviations = np.concatenate([_deviations(off, cov) for off, cov, _ in _linearised(log, unknowns, values)])
+    values = _start_values(log, unknowns)
+    deviations = np.concatenate([_rms_deviations(off, cov) for off, cov, _ in _linearise_sightings(log, unknowns, values)])
     widest = float(np.clip(np.median(deviations), 1.0, _WIDEST))
     for width in (*np.geomspace(widest, 1.0, _TURNS), 1.0):
         information, pull = precision.copy(), np.zeros(len(values))
-        for off, cov, design in _linearised(log, unknowns, values):
+        for off, cov, design in _linearise_sightings(log, unknowns, values):
             weight = _each_nats(off, width**2 * cov, log.area)[1]
             white = np.linalg.solve(cov, design)
             information += np.einsum("n,ndk,ndl->kl", weight, design, white)
@@ -228,13 +228,13 @@ def fit_unknowns(log: SightingLog, unknowns: Sequence[Columns]) -> Fitted:
     nats = 0.5 * float(values @ precision @ values)
     nats += 0.5 * float(np.linalg.slogdet(information)[1] - np.linalg.slogdet(precision)[1])
     far = 0
-    for off, cov, _ in _linearised(log, unknowns, values):
+    for off, cov, _ in _linearise_sightings(log, unknowns, values):
         nats += float(_each_nats(off, cov, log.area)[0].sum())
         far += int((np.abs(off) > OFF_SIGMA * np.sqrt(np.einsum("ndd->nd", cov))).any(axis=1).sum())
-    return Fitted(nats, far / log.count)
+    return FittedUnknowns(nats, far / log.count)
 
 
-def _deviations(off: Array, cov: Array) -> Array:
+def _rms_deviations(off: Array, cov: Array) -> Array:
     """Root mean square (N,) of residuals (N,2) in standard deviations."""
     return np.asarray(np.sqrt(0.5 * np.einsum("nd,nd->n", off, np.linalg.solve(cov, off[..., None])[..., 0])))
 
@@ -248,7 +248,7 @@ def _block_diagonal(blocks: Sequence[Array]) -> Array:
     return found
 
 
-def _start(log: SightingLog, unknowns: Sequence[Columns]) -> Array:
+def _start_values(log: SightingLog, unknowns: Sequence[UnknownColumns]) -> Array:
     """Values (K,) to begin with: 0, but the likeliest constant offset for a joint that may be anywhere."""
     found = []
     for one in unknowns:
@@ -268,7 +268,7 @@ def _likeliest_offset(log: SightingLog, joint: int) -> float:
     return float(min(_OFFSETS, key=nats))
 
 
-def _linearised(log: SightingLog, unknowns: Sequence[Columns], values: Array) -> Iterator[tuple[Array, Array, Array]]:
+def _linearise_sightings(log: SightingLog, unknowns: Sequence[UnknownColumns], values: Array) -> Iterator[tuple[Array, Array, Array]]:
     """Yield each track's residuals (N,2) px, their covariance (N,2,2), and the derivatives (N,2,K) of predictions."""
     parts = np.split(values, np.cumsum([len(one.precision) for one in unknowns])[:-1])
     for number, track in enumerate(log.tracks):
@@ -279,17 +279,17 @@ def _linearised(log: SightingLog, unknowns: Sequence[Columns], values: Array) ->
             elif one.kind == LATE_KIND:
                 x -= value * track.rate
         mean, jac, model = track.model.predict(x)
-        design = [_design(one, number, mean, jac, track.rate) for one in unknowns]
+        design = [_design_matrix(one, number, mean, jac, track.rate) for one in unknowns]
         moved = sum(slope @ value for slope, (one, value) in zip(design, each, strict=True) if _of_image(one))
-        yield track.y - mean - moved, _covariance(track, jac, model), np.concatenate(design, axis=2)
+        yield track.y - mean - moved, _sighting_covariance(track, jac, model), np.concatenate(design, axis=2)
 
 
-def _of_image(unknown: Columns) -> bool:
+def _of_image(unknown: UnknownColumns) -> bool:
     """Whether unknowns displace the image, not the angles."""
     return unknown.joint is None and unknown.kind != LATE_KIND
 
 
-def _design(unknown: Columns, number: int, mean: Array, jac: Array, rate: Array) -> Array:
+def _design_matrix(unknown: UnknownColumns, number: int, mean: Array, jac: Array, rate: Array) -> Array:
     """Derivatives (N,2,K) of a track's predictions, mean (N,2) px, by some unknowns; jac (N,2,M) px/rad, rate (N,M)."""
     shape = unknown.shape[number]
     if unknown.joint is not None:

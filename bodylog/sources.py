@@ -6,7 +6,7 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 from .errors import ConfigError
-from .io.toml_keys import checked, key
+from .io.toml_keys import check_values, declare_key
 
 Colour = str | Mapping[str, tuple[int, int, int]]
 """A name ("green"), or {"low": (h, s, v), "high": (h, s, v)} in OpenCV ranges; low h > high h wraps around red."""
@@ -47,7 +47,7 @@ def _is_board(value: str) -> bool:
 def colour_key(default: Any, meaning: str) -> Any:
     """Declare a key that is a colour."""
     form = f"{', '.join(NAMED_COLOURS)}, or {RANGES}"
-    return key(default, meaning, choices=NAMED_COLOURS, accepts=is_colour, form=form)
+    return declare_key(default, meaning, choices=NAMED_COLOURS, accepts=is_colour, form=form)
 
 
 @dataclass(frozen=True)
@@ -61,23 +61,23 @@ class ColourSource:
 class TagSource:
     """An ArUco tag or AprilTag: its centre, or its corners as the tracks NAME.0 to NAME.3."""
 
-    tag: int = key(MISSING, "Number of the tag.", low=0, high=10**6)
-    dictionary: str = key("apriltag_36h11", "Dictionary of the tag.", choices=tuple(DICTIONARIES))
-    size: float | None = key(None, "Side of the tag.", unset="unknown", **_LENGTH)
-    corners: bool = key(False, "Track the four corners.")
+    tag: int = declare_key(MISSING, "Number of the tag.", low=0, high=10**6)
+    dictionary: str = declare_key("apriltag_36h11", "Dictionary of the tag.", choices=tuple(DICTIONARIES))
+    size: float | None = declare_key(None, "Side of the tag.", unset="unknown", **_LENGTH)
+    corners: bool = declare_key(False, "Track the four corners.")
 
 
 @dataclass(frozen=True)
 class CharucoSource:
     """A ChArUco board: each inner corner k is the track NAME.k."""
 
-    charuco: str = key(
+    charuco: str = declare_key(
         MISSING, "Squares of the board.", accepts=_is_board, form='columns and rows, "10x14", each from 2 to 64'
     )
-    square: float = key(MISSING, "Side of a square.", **_LENGTH)
-    marker: float = key(MISSING, "Side of a marker.", **_LENGTH)
-    dictionary: str = key("4x4_50", "Dictionary of the markers.", choices=tuple(DICTIONARIES))
-    legacy: bool | None = key(None, "Pattern of OpenCV before 4.6.", unset="either pattern")
+    square: float = declare_key(MISSING, "Side of a square.", **_LENGTH)
+    marker: float = declare_key(MISSING, "Side of a marker.", **_LENGTH)
+    dictionary: str = declare_key("4x4_50", "Dictionary of the markers.", choices=tuple(DICTIONARIES))
+    legacy: bool | None = declare_key(None, "Pattern of OpenCV before 4.6.", unset="either pattern")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -90,16 +90,16 @@ class CharucoSource:
 class TopicSource:
     """Points that another detector published on a topic."""
 
-    topic: str = key(MISSING, "Topic of the points.", noun="topic")
-    path: str | None = key(None, "Message path of a point.", noun="message path", unset="by message type")
+    topic: str = declare_key(MISSING, "Topic of the points.", noun="topic")
+    path: str | None = declare_key(None, "Message path of a point.", noun="message path", unset="by message type")
 
 
 @dataclass(frozen=True)
 class TableSource:
     """Columns of a table beside the log (CSV or Parquet)."""
 
-    table: str = key(MISSING, "File of the table.", noun="file")
-    columns: tuple[str, ...] | None = key(
+    table: str = declare_key(MISSING, "File of the table.", noun="file")
+    columns: tuple[str, ...] | None = declare_key(
         None, "Columns of u and v.", accepts=lambda names: len(names) > 1 and all(names), unset="NAME_u, NAME_v",
         form="names of two or more columns",
     )  # fmt: skip
@@ -109,15 +109,15 @@ class TableSource:
 class PointSource:
     """The patch around a point of one frame."""
 
-    point: tuple[float, float] = key(MISSING, "Place of the point.", unit="px", form="[u, v] in px")
-    at: float = key(0.0, "Time of the frame after the start of the log.", form="number of seconds")
+    point: tuple[float, float] = declare_key(MISSING, "Place of the point.", unit="px", form="[u, v] in px")
+    at: float = declare_key(0.0, "Time of the frame after the start of the log.", form="number of seconds")
 
 
 @dataclass(frozen=True)
 class SurfaceSource:
     """The robot's own surface: corners on its links, explained by a URDF; no track of its own."""
 
-    surface: bool = key(MISSING, "Learn by the robot's own surface.", accepts=lambda on: on is True, form="true")
+    surface: bool = declare_key(MISSING, "Learn by the robot's own surface.", accepts=lambda on: on is True, form="true")
 
 
 Source = ColourSource | TagSource | CharucoSource | TopicSource | TableSource | PointSource | SurfaceSource
@@ -134,7 +134,7 @@ SOURCES: Mapping[str, type[Source]] = {
 """The key that identifies a source, and its record; the record's other fields are its other keys."""
 
 
-def parse(name: str, value: Any, where: str) -> Source:
+def parse_source(name: str, value: Any, where: str) -> Source:
     """The source that a value of `[features]` NAME describes; ConfigError names key, value and what is possible."""
     label = f"{where}: features.{name}"
     if not name or {"/", "."} & set(name):
@@ -151,7 +151,7 @@ def parse(name: str, value: Any, where: str) -> Source:
     if len(kinds) != 1:
         found = " and ".join(kinds) or f"only {', '.join(map(str, value)) or 'nothing'}"
         raise ConfigError(f"{label} has {found}; it must have exactly one of {', '.join(SOURCES)}")
-    return _source(SOURCES[kinds[0]], value, where, f"features.{name}")
+    return _build_source(SOURCES[kinds[0]], value, where, f"features.{name}")
 
 
 def check_colour(colour: Any, key: str) -> Colour:
@@ -160,12 +160,12 @@ def check_colour(colour: Any, key: str) -> Colour:
         if colour not in NAMED_COLOURS:
             raise ConfigError(f"{key} is {colour!r}; possible: {', '.join(NAMED_COLOURS)}, or {RANGES}")
         return colour
-    if not isinstance(colour, Mapping) or set(colour) != {"low", "high"} or not all(map(_hsv, colour.values())):
+    if not isinstance(colour, Mapping) or set(colour) != {"low", "high"} or not all(map(_is_hsv_bound, colour.values())):
         raise ConfigError(f"{key} is {dict(colour) if isinstance(colour, Mapping) else colour!r}; it must be {RANGES}")
     return {bound: (int(h), int(s), int(v)) for bound, (h, s, v) in colour.items()}
 
 
-def spelled(source: Source) -> Any:
+def source_as_value(source: Source) -> Any:
     """The source as its value in TOML: a colour, or a table without the defaults."""
     if isinstance(source, ColourSource):
         return source.colour
@@ -184,7 +184,7 @@ def track_names(name: str, source: Source) -> tuple[str, ...]:
     return (name,)
 
 
-def described(source: Source) -> str:
+def describe_source(source: Source) -> str:
     """What a source looks for, for people: "tag 7 of apriltag_36h11"."""
     match source:
         case TagSource():
@@ -230,13 +230,13 @@ def board_points(source: Source) -> list[tuple[float, float, float]] | None:
     return None
 
 
-def _source(kind: type[Source], value: Mapping[str, Any], where: str, label: str) -> Source:
-    spelled_out = {"dictionary": _dictionary, "charuco": _board}
+def _build_source(kind: type[Source], value: Mapping[str, Any], where: str, label: str) -> Source:
+    spelled_out = {"dictionary": _canonical_dictionary, "charuco": _canonical_board}
     given = {k: spelled_out.get(k, lambda one: one)(v) for k, v in value.items() if v is not None}
-    return _consistent(kind(**checked(kind, given, where, label)), f"{where}: {label}")
+    return _require_consistent(kind(**check_values(kind, given, where, label)), f"{where}: {label}")
 
 
-def _consistent(source: Source, key: str) -> Source:
+def _require_consistent(source: Source, key: str) -> Source:
     if isinstance(source, TagSource) and source.tag >= DICTIONARIES[source.dictionary]:
         most = DICTIONARIES[source.dictionary] - 1
         raise ConfigError(f"{key}.tag is {source.tag}; {source.dictionary} has tags from 0 to {most}")
@@ -249,12 +249,12 @@ def _consistent(source: Source, key: str) -> Source:
     return source
 
 
-def _hsv(values: Any) -> bool:
+def _is_hsv_bound(values: Any) -> bool:
     whole = isinstance(values, list | tuple) and all(isinstance(v, int) and not isinstance(v, bool) for v in values)
     return whole and len(values) == 3 and 0 <= values[0] <= 180 and all(0 <= v <= 255 for v in values[1:])
 
 
-def _dictionary(value: Any) -> Any:
+def _canonical_dictionary(value: Any) -> Any:
     """The name of a dictionary that OpenCV spells otherwise (DICT_ARUCO_MIP_36H12)."""
     if not isinstance(value, str):
         return value
@@ -262,7 +262,7 @@ def _dictionary(value: Any) -> Any:
     return name.removeprefix("aruco_") if name.startswith("aruco_mip") else name
 
 
-def _board(value: Any) -> Any:
+def _canonical_board(value: Any) -> Any:
     """Columns and rows of a board without leading zeros."""
     lower = value.lower() if isinstance(value, str) else value
     return (

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .body_model import BodyModel, Surface, SurfaceCamera, TouchConstants
-from .delay_findings import middle
+from .delay_findings import middle_of_recording
 from .errors import EvidenceError
 from .settings import Settings
 from .sources import SurfaceSource
@@ -14,7 +14,7 @@ from .surface_findings import findings_of, scores_of
 from .types import Features, Finding, Recording, Score
 
 if TYPE_CHECKING:
-    from .body.learning import Learned
+    from .body.learning import LearnedBody
 
 
 def is_asked(settings: Settings) -> bool:
@@ -22,18 +22,18 @@ def is_asked(settings: Settings) -> bool:
     return any(isinstance(source, SurfaceSource) for source in settings.features.values())
 
 
-def learn(
+def learn_surface_body(
     logs: Sequence[tuple[Path, Recording]], settings: Settings, provenance: Mapping[str, Any]
-) -> "Learned":
+) -> "LearnedBody":
     """Learn a body whose only sense beside the encoders is the robot's surface.
 
     EvidenceError where no camera shows the arm, or one shows another motion; ModelError where the URDF has no joint of
     a log.
     """
-    from .body.learning import Learned
+    from .body.learning import LearnedBody
     from .body.surface import joint_noise
 
-    whole = [(log, middle(read, LONGEST_S, MOST_IMAGES)) for log, read in logs]
+    whole = [(log, middle_of_recording(read, LONGEST_S, MOST_IMAGES)) for log, read in logs]
     found = list[SurfaceCalibration]()
     for one in calibrate_cameras(whole, settings):
         if isinstance(one, EvidenceError):
@@ -44,29 +44,29 @@ def learn(
     features = [Features(read.joints, {}, None, (), (), {}) for _, read in logs]
     names = tuple(found[0].joint_of)
     first, read = logs[0]
-    about = {"cameras": [topic for topic in (_topic(read, one.camera) for one in found) if topic], **provenance}
+    about = {"cameras": [topic for topic in (_find_image_topic(read, one.camera) for one in found) if topic], **provenance}
     model = BodyModel(
         names, {}, joint_noise(features, names), TouchConstants(1.0, 0.005), about,
-        surface=_surface(first, read, found, settings),
+        surface=_build_surface(first, read, found, settings),
     )  # fmt: skip
-    scores = tuple(score for one in found for score in _scores(one))
+    scores = tuple(score for one in found for score in _calibration_scores(one))
     findings = tuple(Finding("info", finding.text) for one in found for finding in findings_of(one))
-    return Learned(model, scores, findings)
+    return LearnedBody(model, scores, findings)
 
 
-def _surface(log: Path, read: Recording, found: Sequence[SurfaceCalibration], settings: Settings) -> Surface:
+def _build_surface(log: Path, read: Recording, found: Sequence[SurfaceCalibration], settings: Settings) -> Surface:
     from math import radians
 
     from .kinematics.urdf import kinematic_text
     from .robot_model import named_urdf
 
-    cameras = tuple(_camera(one, _topic(read, one.camera)) for one in found)
+    cameras = tuple(_build_surface_camera(one, _find_image_topic(read, one.camera)) for one in found)
     first = found[0]
     zero_std = radians(settings.kinematics.offset_prior)
     return Surface(kinematic_text(named_urdf(log, settings)), first.joint_of, first.still, zero_std, cameras)
 
 
-def _camera(one: SurfaceCalibration, topic: str) -> SurfaceCamera:
+def _build_surface_camera(one: SurfaceCalibration, topic: str) -> SurfaceCamera:
     import numpy as np
 
     model, phi = one.fit.model, one.fit.phi
@@ -81,7 +81,7 @@ def _camera(one: SurfaceCalibration, topic: str) -> SurfaceCamera:
     )  # fmt: skip
 
 
-def _topic(read: Recording, camera: str) -> str:
+def _find_image_topic(read: Recording, camera: str) -> str:
     """The topic of a camera's images, "" the first's."""
     for role, path in read.roles.items():
         kind, _, name = role.partition("/")
@@ -90,7 +90,7 @@ def _topic(read: Recording, camera: str) -> str:
     return ""
 
 
-def _scores(one: SurfaceCalibration) -> Iterator[Score]:
+def _calibration_scores(one: SurfaceCalibration) -> Iterator[Score]:
     """Its scores, with the logs' delays as one each where there are several."""
     yield from scores_of(one)
     name = one.camera or "camera"

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 from .errors import EvidenceError, ModelError
 from .surface_map import build_map
-from .types import Array, Frame, Recording, Series
+from .types import Array, LazyImage, Recording, Series
 
 if TYPE_CHECKING:
     from .body_model import LandmarkMap
-    from .kinematics.joint_motion import JointMotion
+    from .kinematics.joint_motion import JointCurve
     from .kinematics.landmark_fit import LandmarkFit
-    from .kinematics.landmarks import LandmarkModel, Sightings
+    from .kinematics.landmarks import LandmarkModel, LandmarkSightings
     from .kinematics.links import CameraHint
-    from .kinematics.rig import Camera
+    from .kinematics.rig import RigCamera
     from .kinematics.robot import Robot
     from .perception.surface.corner_tracks import CornerTracks
     from .settings import Settings
@@ -67,14 +67,14 @@ class SurfaceCalibration:
 
 
 @dataclass(frozen=True, eq=False)
-class _Film:
+class _CameraTracks:
     """What one log shows through one camera: its number among the logs, its tracks, its median picture, its frames."""
 
     log: Path
     number: int
     tracks: "CornerTracks"
     picture: Array | None
-    frames: Callable[[], Iterator[Frame]]
+    frames: Callable[[], Iterator[LazyImage]]
 
 
 def calibrate_cameras(
@@ -91,12 +91,12 @@ def calibrate_cameras(
 
     first, read = logs[0]
     robot = named_robot(first, settings)
-    joint_of, motions, still = moving_joints(logs, robot)
+    joint_of, motions, still = find_moving_urdf_joints(logs, robot)
     hints = camera_hints(first, robot, read, settings)
-    for name in dict.fromkeys(name for _, one in logs for name in _films(one)):
+    for name in dict.fromkeys(name for _, one in logs for name in _frames_by_camera(one)):
         try:
-            films = list(_tracked(logs, name))
-            fit, seen, moving = _calibrated(name, films, robot, motions, joint_of, still, hints.get(name), settings)
+            films = list(_track_each_log(logs, name))
+            fit, seen, moving = _calibrate_camera(name, films, robot, motions, joint_of, still, hints.get(name), settings)
             mapped = build_map(fit, seen, [(one.frames, one.tracks.t) for one in films])
         except EvidenceError as problem:
             yield problem
@@ -117,7 +117,7 @@ def calibrate_cameras(
         )  # fmt: skip
 
 
-def _films(read: Recording) -> dict[str, Callable[[], Iterator[Frame]]]:
+def _frames_by_camera(read: Recording) -> dict[str, Callable[[], Iterator[LazyImage]]]:
     """The frames of each camera of a log, "" the first."""
     films = {"": read.frames, **read.views}
     return {name: film for name, film in films.items() if film is not None}
@@ -127,19 +127,19 @@ def camera_hints(log: Path, robot: "Robot", read: Recording, settings: "Settings
     """What a log says of its cameras' links, poses and lenses, by name, "" the first, of which [camera] tells too."""
     from .kinematics.links import CameraHint
     from .known_camera import with_known
-    from .recording.robot_description import described
-    from .robot_model import told_camera
+    from .recording.robot_description import read_robot_description
+    from .robot_model import describe_logged_camera
 
-    description = described(log, settings.input)
+    description = read_robot_description(log, settings.input)
     topics = {role.partition("/")[2]: path for role, path in read.roles.items() if role.partition("/")[0] == "camera"}
-    told = {name: told_camera(topic, description, robot) for name, topic in topics.items()}
-    hints = {name: hint for name, hint in told.items() if hint is not None}
+    camera_hints = {name: describe_logged_camera(topic, description, robot) for name, topic in topics.items()}
+    hints = {name: hint for name, hint in camera_hints.items() if hint is not None}
     return {**hints, "": with_known(hints.get("", CameraHint()), settings.camera, robot)}
 
 
-def moving_joints(
+def find_moving_urdf_joints(
     logs: Sequence[tuple[Path, Recording]], robot: "Robot"
-) -> "tuple[dict[str, str], list[JointMotion], dict[str, float]]":
+) -> "tuple[dict[str, str], list[JointCurve], dict[str, float]]":
     """The joints that move in any log, with their names in the URDF, as curves of each log; the angles of the others.
 
     ModelError where the URDF has none of a log's joints, or logs have different ones; EvidenceError where none moves.
@@ -148,7 +148,7 @@ def moving_joints(
 
     joint_of, columns = dict[str, str](), dict[str, Array]()
     for number, (log, read) in enumerate(logs):
-        matched = _matched(log, read, robot)
+        matched = _match_urdf_joints(log, read, robot)
         if number and matched != joint_of:
             differing = sorted({*matched.items()} ^ {*joint_of.items()})[0][0]
             raise ModelError(f"{log}: {logs[0][0]} has other joints: {differing!r} is in one of them alone")
@@ -157,7 +157,7 @@ def moving_joints(
         for name in joint_of:
             values = read.joints.values[:, list(read.joints.names).index(name)]
             columns[name] = np.concatenate([columns.get(name, np.zeros(0)), values])
-    ranges = {name: _range(column) for name, column in columns.items()}
+    ranges = {name: _robust_range(column) for name, column in columns.items()}
     still = {joint_of[name]: float(np.nanmedian(columns[name])) for name in joint_of if ranges[name] < _LEAST_RANGE}
     moving = {name: joint for name, joint in joint_of.items() if ranges[name] >= _LEAST_RANGE}
     if not moving:
@@ -166,7 +166,7 @@ def moving_joints(
     return moving, motions, still
 
 
-def _matched(log: Path, read: Recording, robot: "Robot") -> dict[str, str]:
+def _match_urdf_joints(log: Path, read: Recording, robot: "Robot") -> dict[str, str]:
     """The URDF's joint of each of a log's joints that it has."""
     from .kinematics.joint_names import match_joints
     from .kinematics.robot import MOVING
@@ -181,38 +181,38 @@ def _matched(log: Path, read: Recording, robot: "Robot") -> dict[str, str]:
     return joint_of
 
 
-def _range(column: Array) -> float:
+def _robust_range(column: Array) -> float:
     import numpy as np
 
     finite = column[np.isfinite(column)]
     return float(np.ptp(np.percentile(finite, [2.0, 98.0]))) if len(finite) > 1 else 0.0
 
 
-def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointMotion":
+def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointCurve":
     """The joints' angles as curves: integrated-Wiener smoothing, noise and motion by evidence."""
     import numpy as np
 
     from .body.data import angle_smoother
-    from .kinematics.joint_motion import joint_motion
+    from .kinematics.joint_motion import curve_through_samples
 
     grid = np.arange(joints.t[0], joints.t[-1], _GRID_S)
     columns = []
     for name in names:
         readings = joints.values[:, list(joints.names).index(name)]
         finite = np.isfinite(readings)
-        signal = angle_smoother.chain(joints.t[finite], readings[finite])
-        motion = angle_smoother.fit([signal], 3)
+        signal = angle_smoother.build_reading_chain(joints.t[finite], readings[finite])
+        motion = angle_smoother.fit_white_motion([signal], 3)
         # a joint's own readings may begin later and end earlier than those of other topics
         within = np.clip(grid, signal.t[0], signal.t[-1])
-        columns.append(angle_smoother.posterior(signal, motion, within)[0])
-    return joint_motion(grid, np.stack(columns, axis=1))
+        columns.append(angle_smoother.smooth_angles(signal, motion, within)[0])
+    return curve_through_samples(grid, np.stack(columns, axis=1))
 
 
-def _tracked(logs: Sequence[tuple[Path, Recording]], camera: str) -> Iterator[_Film]:
+def _track_each_log(logs: Sequence[tuple[Path, Recording]], camera: str) -> Iterator[_CameraTracks]:
     """Yield what each log shows through a camera; EvidenceError where too little moves or images differ in size."""
     size: tuple[int, int] | None = None
     for number, (log, read) in enumerate(logs):
-        film = _films(read).get(camera)
+        film = _frames_by_camera(read).get(camera)
         if film is None:
             continue
         tracks, picture = _moving_tracks(f"{log}: {camera or 'camera'}", film)
@@ -221,12 +221,12 @@ def _tracked(logs: Sequence[tuple[Path, Recording]], camera: str) -> Iterator[_F
             found, first = ("x".join(map(str, one)) for one in (tracks.size, size))
             where = f"{log}: {camera or 'camera'}"
             raise EvidenceError(f"{where}: images of {found} px, of {first} px in the first log; fit them apart")
-        yield _Film(log, number, tracks, picture, film)
+        yield _CameraTracks(log, number, tracks, picture, film)
 
 
-def camera_film(log: Path, read: Recording, camera: str) -> Callable[[], Iterator[Frame]]:
+def camera_film(log: Path, read: Recording, camera: str) -> Callable[[], Iterator[LazyImage]]:
     """The frames of a camera, "camera" the first. EvidenceError without it."""
-    film = _films(read).get("" if camera == "camera" else camera)
+    film = _frames_by_camera(read).get("" if camera == "camera" else camera)
     if film is None:
         raise EvidenceError(f"{log}: {camera}: no images of it in this log")
     return film
@@ -240,7 +240,7 @@ def track_camera(log: Path, read: Recording, camera: str) -> "tuple[CornerTracks
     return _moving_tracks(f"{log}: {camera}", camera_film(log, read, camera))
 
 
-def _moving_tracks(where: str, film: Callable[[], Iterator[Frame]]) -> "tuple[CornerTracks, Array | None]":
+def _moving_tracks(where: str, film: Callable[[], Iterator[LazyImage]]) -> "tuple[CornerTracks, Array | None]":
     from .kinematics.landmark_fit import LEAST_PIECES
     from .perception.surface.corner_tracks import moving_pieces, track_corners
 
@@ -251,29 +251,29 @@ def _moving_tracks(where: str, film: Callable[[], Iterator[Frame]]) -> "tuple[Co
     return tracks.take(moving), survey.median
 
 
-def _calibrated(
-    name: str, films: Sequence[_Film], robot: "Robot", motions: "Sequence[JointMotion]", joint_of: Mapping[str, str],
+def _calibrate_camera(
+    name: str, films: Sequence[_CameraTracks], robot: "Robot", motions: "Sequence[JointCurve]", joint_of: Mapping[str, str],
     still: Mapping[str, float], hint: "CameraHint | None", settings: "Settings",
-) -> "tuple[LandmarkFit, Sightings, int]":  # fmt: skip
+) -> "tuple[LandmarkFit, LandmarkSightings, int]":  # fmt: skip
     """The fit of one camera, all moving pieces, and how many it was tried on; EvidenceError where no arm is seen."""
     from math import radians
 
     from .kinematics.landmark_fit import build_model, choose_pieces
-    from .kinematics.landmarks import sightings
+    from .kinematics.landmarks import join_landmark_tracks
     from .kinematics.links import CameraHint, Space
 
     zero_std = radians(settings.kinematics.offset_prior)
     space = Space(robot, tuple(joint_of.values()), dict(still), zero_std)
     size = films[0].tracks.size
     hint = replace(hint or CameraHint(), size=size)
-    seen = sightings([(one.tracks.piece, one.tracks.t[one.tracks.frame], one.tracks.uv) for one in films], size[1])
+    seen = join_landmark_tracks([(one.tracks.piece, one.tracks.t[one.tracks.frame], one.tracks.uv) for one in films], size[1])
     part = seen.take(choose_pieces(seen, _most_pieces(len(films)))).thinned(ROW_STRIDE)
     few = seen.take(choose_pieces(seen, -(-_SEARCH_PIECES // len(films)))).thinned(_SEARCH_STRIDE)
     own_motions = [motions[one.number] for one in films]
     best: LandmarkFit | None = None
     for cameras in _start_cameras(name or "camera", robot, space, hint):
         models = [build_model(space, camera, own_motions, zero_std) for camera in cameras[:1]]
-        for found in _fits(models[0], cameras, few, part):
+        for found in _iterate_fits(models[0], cameras, few, part):
             if best is None or len(found.used) > len(best.used):
                 best = found
         if best is not None and len(best.used) >= _LEAST_SHARE * part.count:
@@ -286,7 +286,7 @@ def _calibrated(
     return best, seen, part.count
 
 
-def explains(fit: "LandmarkFit", part: "Sightings") -> bool:
+def explains_enough_pieces(fit: "LandmarkFit", part: "LandmarkSightings") -> bool:
     """Whether a fit explains enough of the pieces that it was tried on."""
     return len(fit.used) >= _LEAST_SHARE * part.count
 
@@ -298,7 +298,7 @@ def _most_pieces(logs: int) -> int:
     return MOST_PIECES if logs == 1 else MOST_PIECES // 2
 
 
-def _require_belonging(name: str, films: Sequence[_Film], best: "LandmarkFit", part: "Sightings") -> None:
+def _require_belonging(name: str, films: Sequence[_CameraTracks], best: "LandmarkFit", part: "LandmarkSightings") -> None:
     """EvidenceError where the joints of another time explain a log's corners as well, or they explain few of them."""
     import numpy as np
 
@@ -318,7 +318,7 @@ def _require_belonging(name: str, films: Sequence[_Film], best: "LandmarkFit", p
 
 def _start_cameras(
     name: str, robot: "Robot", space: object, hint: "CameraHint"
-) -> "Iterator[list[Camera]]":
+) -> "Iterator[list[RigCamera]]":
     """Yield sets of cameras to start from, all on one link: as the log places it, on named links, around the arm."""
     import numpy as np
 
@@ -332,8 +332,8 @@ def _start_cameras(
     yield list(around_the_arm(free_camera(name, hint, robot), np.array([0.0, 0.0, 0.3])))
 
 
-def _fits(
-    model: "LandmarkModel", cameras: "Sequence[Camera]", few: "Sightings", part: "Sightings"
+def _iterate_fits(
+    model: "LandmarkModel", cameras: "Sequence[RigCamera]", few: "LandmarkSightings", part: "LandmarkSightings"
 ) -> "Iterator[LandmarkFit]":
     from .kinematics.landmark_fit import staged_fit
     from .kinematics.landmark_starts import best_starts
@@ -344,7 +344,7 @@ def _fits(
             yield found
 
 
-def control_counts(best: "LandmarkFit", part: "Sightings") -> Array:
+def control_counts(best: "LandmarkFit", part: "LandmarkSightings") -> Array:
     """Pieces of each log that the joints of another time explain: those of half the log later, in a circle."""
     import numpy as np
 
@@ -363,10 +363,10 @@ def control_counts(best: "LandmarkFit", part: "Sightings") -> Array:
     return np.asarray(np.round(explained * count / np.maximum(tried, 1)).astype(int))
 
 
-def shifted_motion(motion: "JointMotion") -> "JointMotion":
+def shifted_motion(motion: "JointCurve") -> "JointCurve":
     """The motion half its length later, in a circle."""
     import numpy as np
 
-    from .kinematics.joint_motion import joint_motion
+    from .kinematics.joint_motion import curve_through_samples
 
-    return joint_motion(motion.t, np.roll(motion.q, len(motion.t) // 2, axis=0))
+    return curve_through_samples(motion.t, np.roll(motion.q, len(motion.t) // 2, axis=0))

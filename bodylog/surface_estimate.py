@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .body_model import BodyModel, Surface, SurfaceCamera
-from .delay_findings import middle
+from .delay_findings import middle_of_recording
 from .errors import EvidenceError, ModelError
 from .log_estimate import infer_from_encoders
 from .settings import Settings
@@ -16,20 +16,20 @@ from .surface_calibration import (
     ROW_STRIDE,
     camera_film,
     control_counts,
-    explains,
+    explains_enough_pieces,
     smoothed_motion,
     track_camera,
 )
 from .surface_map import KeyFrames, find_again, key_frames, refine
-from .types import EITHER, Array, Estimate, Fault, Features, Finding, Recording
+from .types import ALTERNATIVE_SEPARATOR, Array, Estimate, Fault, Features, Finding, Recording
 
 if TYPE_CHECKING:
-    from .kinematics.joint_motion import JointMotion
+    from .kinematics.joint_motion import JointCurve
     from .kinematics.landmark_fit import LandmarkFit
-    from .kinematics.landmark_hypotheses import Change
-    from .kinematics.landmarks import Belief, LandmarkModel
+    from .kinematics.landmark_hypotheses import ChangeHypothesis
+    from .kinematics.landmarks import LandmarkBelief, LandmarkModel
 
-NATS = 8.0
+FAULT_EVIDENCE_NATS = 8.0
 """Evidence that a fault must win over a sound log."""
 MARGIN_NATS = 4.0
 """Evidence that a fault must win over each other one; those within are its alternatives."""
@@ -55,7 +55,7 @@ _BLUR_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class CameraJudgement:
     """What one camera tells of a log: delay (s) ± std, every hypothesis, and sentences; None without images of an arm.
 
     identifiable: joints of the body whose offset the log shows · shift: of the still scene, px, None where scenes
@@ -64,12 +64,12 @@ class Judged:
 
     camera: str
     delay: tuple[float, float]
-    changes: "Sequence[Change]"
+    changes: "Sequence[ChangeHypothesis]"
     identifiable: tuple[str, ...]
     shift: float | None
 
 
-def estimate(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
+def estimate_by_surface(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
     """Where the body was by its encoders, less an offset that the surface shows, with its doubt in the covariance.
 
     Where the surface says nothing, the encoders' estimate with a remark why. ModelError where images have another
@@ -77,17 +77,17 @@ def estimate(log: Path, read: Recording, features: Features, learned: BodyModel,
     """
     assert learned.surface is not None
     found = infer_from_encoders(features, learned, settings)
-    part = middle(read, LONGEST_S, MOST_IMAGES)
+    part = middle_of_recording(read, LONGEST_S, MOST_IMAGES)
     joints = part.joints
     assert joints is not None
     missing = [name for name in learned.joints if name not in joints.names]
     if missing:
         raise ModelError(f"{log}: joint {missing[0]!r} of the body is missing; it has {', '.join(joints.names)}")
     motion = smoothed_motion(joints, learned.joints)
-    judged, findings = list[Judged](), list[Finding]()
+    judged, findings = list[CameraJudgement](), list[Finding]()
     for camera in learned.surface.cameras:
         try:
-            judged.append(judge(log, part, learned.surface, camera, motion))
+            judged.append(judge_by_camera(log, part, learned.surface, camera, motion))
         except EvidenceError as problem:
             findings.append(Finding("warning", f"{problem}; the estimate is by encoders alone"))
     for one in judged:
@@ -95,9 +95,9 @@ def estimate(log: Path, read: Recording, features: Features, learned: BodyModel,
     return replace(found, findings=(*found.findings, *findings))
 
 
-def judge(
-    log: Path, read: Recording, surface: Surface, camera: SurfaceCamera, motion: "JointMotion"
-) -> Judged:
+def judge_by_camera(
+    log: Path, read: Recording, surface: Surface, camera: SurfaceCamera, motion: "JointCurve"
+) -> CameraJudgement:
     """Judge a log by one camera of a body. EvidenceError where no arm is seen or images show another motion."""
     import numpy as np
 
@@ -106,20 +106,20 @@ def judge(
     from .kinematics.identifiability import LEAST
     from .kinematics.landmark_errors import unknowns_covariance
     from .kinematics.landmark_fit import MOST_PIECES, choose_pieces, search_delay, staged_fit
-    from .kinematics.landmarks import sightings
+    from .kinematics.landmarks import join_landmark_tracks
 
     tracks, picture = track_camera(log, read, camera.name)
     if tracks.size != camera.size:
         found, known = ("x".join(map(str, size)) for size in (tracks.size, camera.size))
         raise ModelError(f"{log}: {camera.name}: images of {found} px, of {known} px where the body was learned")
     model = landmark_model(surface, camera, [motion])
-    belief = _belief(model, camera)
-    free = hypotheses.widened(model, belief)
-    seen = sightings([(tracks.piece, tracks.t[tracks.frame], tracks.uv)], tracks.size[1])
+    belief = _landmark_belief(model, camera)
+    free = hypotheses.widen_zero_belief(model, belief)
+    seen = join_landmark_tracks([(tracks.piece, tracks.t[tracks.frame], tracks.uv)], tracks.size[1])
     part = seen.take(choose_pieces(seen, MOST_PIECES)).thinned(ROW_STRIDE)
     start, _ = search_delay(free, belief.mean.copy(), part.thinned(2))
     fit = staged_fit(free, start, part)
-    if fit is None or not explains(fit, part):
+    if fit is None or not explains_enough_pieces(fit, part):
         count = 0 if fit is None else len(fit.used)
         why = f"the body explains {count} of {part.count} moving corners"
         raise EvidenceError(f"{log}: {camera.name}: {why}; the surface says nothing")
@@ -141,21 +141,21 @@ def judge(
             changes = _weighed_changes(fit, belief, may_move)
     names = {joint: name for name, joint in surface.joint_of.items()}
     sure = tuple(names[one.name] for one in changes if one.beforehand and one.std <= LEAST * one.beforehand)
-    return Judged(camera.name, late, changes, sure, shift)
+    return CameraJudgement(camera.name, late, changes, sure, shift)
 
 
-def _weighed_changes(fit: "LandmarkFit", belief: "Belief", camera_may_move: bool) -> "list[Change]":
+def _weighed_changes(fit: "LandmarkFit", belief: "LandmarkBelief", camera_may_move: bool) -> "list[ChangeHypothesis]":
     from .kinematics.landmark_errors import unknowns_covariance
-    from .kinematics.landmark_hypotheses import information, weigh
+    from .kinematics.landmark_hypotheses import information_of_log, weigh_hypotheses
 
-    told = information(fit.model, fit.phi, unknowns_covariance(fit))
-    return weigh(fit.model, belief, told, camera_may_move)
+    camera_evidence = information_of_log(fit.model, fit.phi, unknowns_covariance(fit))
+    return weigh_hypotheses(fit.model, belief, camera_evidence, camera_may_move)
 
 
 def _by_landmarks(
-    camera: SurfaceCamera, fit: "LandmarkFit", belief: "Belief", changes: "Sequence[Change]", keys: KeyFrames,
+    camera: SurfaceCamera, fit: "LandmarkFit", belief: "LandmarkBelief", changes: "Sequence[ChangeHypothesis]", keys: KeyFrames,
     camera_may_move: bool,
-) -> "tuple[LandmarkFit, Belief] | None":  # fmt: skip
+) -> "tuple[LandmarkFit, LandmarkBelief] | None":  # fmt: skip
     """Adjust from the body's landmarks alone, found again in some images, and what is believed of these unknowns.
 
     fit, belief and changes are by tracks: each change foretells where the landmarks are, and the one under which most
@@ -164,14 +164,14 @@ def _by_landmarks(
     import numpy as np
 
     from .kinematics.landmark_adjustment import Landmarks
-    from .kinematics.landmark_hypotheses import widened
+    from .kinematics.landmark_hypotheses import widen_zero_belief
     from .kinematics.landmark_map import place_prior
 
     known = camera.landmarks
     assert known is not None
     model = replace(fit.model, belief=None, changes=True)
     unchanged = _belief_of_changes(model, belief)
-    free_model = widened(model, unchanged, camera_may_move)
+    free_model = widen_zero_belief(model, unchanged, camera_may_move)
     learned = np.delete(np.arange(len(belief.mean)), model.of_delays.start)
     prior = place_prior(known, learned, unchanged.mean, camera.unknowns)
     landmarks = Landmarks(known.body, known.places, prior)
@@ -188,11 +188,11 @@ def _by_landmarks(
     return None if refined is None else (refined[0], unchanged)
 
 
-def _belief_of_changes(model: "LandmarkModel", belief: "Belief") -> "Belief":
+def _belief_of_changes(model: "LandmarkModel", belief: "LandmarkBelief") -> "LandmarkBelief":
     """A belief of φ with the changes since the map, which are none but what sound logs differ by."""
     import numpy as np
 
-    from .kinematics.landmarks import Belief
+    from .kinematics.landmarks import LandmarkBelief
 
     count = len(belief.mean)
     std = np.full(count + 6 + len(model.rig.joints), _SWAY)
@@ -201,11 +201,11 @@ def _belief_of_changes(model: "LandmarkModel", belief: "Belief") -> "Belief":
     mean, covariance = np.zeros(len(std)), np.diag(std**2)
     mean[:count] = belief.mean
     covariance[:count, :count] = belief.covariance
-    return Belief(mean, covariance)
+    return LandmarkBelief(mean, covariance)
 
 
 def _starts(
-    model: "LandmarkModel", fit: "LandmarkFit", belief: "Belief", changes: "Sequence[Change]"
+    model: "LandmarkModel", fit: "LandmarkFit", belief: "LandmarkBelief", changes: "Sequence[ChangeHypothesis]"
 ) -> "Iterator[Array]":
     """Yield unknowns φ with each change that tracks show, and with all of them at once."""
     rig = model.rig
@@ -222,11 +222,11 @@ def _starts(
     yield phi
 
 
-def _belief(model: "LandmarkModel", camera: SurfaceCamera) -> "Belief":
+def _landmark_belief(model: "LandmarkModel", camera: SurfaceCamera) -> "LandmarkBelief":
     """A body's belief of a log's φ: what it knows, and a delay that may be any."""
     import numpy as np
 
-    from .kinematics.landmarks import DELAY_STD_S, Belief
+    from .kinematics.landmarks import DELAY_STD_S, LandmarkBelief
 
     delay = model.of_delays.start
     rest = np.delete(np.arange(len(camera.unknowns) + 1), delay)
@@ -234,7 +234,7 @@ def _belief(model: "LandmarkModel", camera: SurfaceCamera) -> "Belief":
     mean[rest], mean[delay] = camera.unknowns, float(camera.delays.mean())
     covariance[np.ix_(rest, rest)] = camera.covariance
     covariance[delay, delay] = DELAY_STD_S**2
-    return Belief(mean, covariance)
+    return LandmarkBelief(mean, covariance)
 
 
 def picture_shift(before: Array, after: Array | None, width: int) -> float | None:
@@ -247,15 +247,15 @@ def picture_shift(before: Array, after: Array | None, width: int) -> float | Non
     first, second = (cv2.GaussianBlur(one.astype(np.float32), (0, 0), _BLUR_PX) for one in (before, after))
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
     try:
-        alike, warp = cv2.findTransformECC(
+        indistinct_names, warp = cv2.findTransformECC(
             first, second, np.eye(2, 3, dtype=np.float32), cv2.MOTION_TRANSLATION, criteria
         )  # fmt: skip
     except cv2.error:  # it does not converge: no picture of one scene
         return None
-    return float(np.hypot(*warp[:, 2])) * width / before.shape[1] if alike > _LEAST_ALIKE else None
+    return float(np.hypot(*warp[:, 2])) * width / before.shape[1] if indistinct_names > _LEAST_ALIKE else None
 
 
-def _with_judgement(found: Estimate, one: Judged, learned: BodyModel) -> Estimate:
+def _with_judgement(found: Estimate, one: CameraJudgement, learned: BodyModel) -> Estimate:
     """An estimate with one camera's delay, faults and remarks, and an offset subtracted."""
     from .evaluation.figures import LEAST_OFFSETS, MEASURED_DELAYS
 
@@ -273,20 +273,20 @@ def _with_judgement(found: Estimate, one: Judged, learned: BodyModel) -> Estimat
     findings = list(found.findings)
     if blind:
         findings.append(Finding("info", f"{one.camera}: offsets not identifiable: {', '.join(blind)}"))
-    settings[LEAST_OFFSETS] = _least_offsets(one, learned, names, settings.get(LEAST_OFFSETS, {}))
+    settings[LEAST_OFFSETS] = _smallest_shown_offsets(one, learned, names, settings.get(LEAST_OFFSETS, {}))
     if one.shift is not None and one.shift > _SAME_PICTURE_PX:
         text = f"its still scene lies {one.shift:.1f} px beside that of the body: scene or camera moved"
         findings.append(Finding("info", f"{one.camera}: {text}"))
-    fault, change = _fault(one, found, learned)
+    fault, change = _winning_fault(one, found, learned)
     result = replace(found, settings=settings, findings=tuple(findings))
     if fault is None:
         return result
     result = replace(result, faults=(*found.faults, fault))
-    return result if change is None else _without_offset(result, fault)
+    return result if change is None else _subtract_joint_offset(result, fault)
 
 
-def _least_offsets(
-    one: Judged, learned: BodyModel, names: Mapping[str, str], by_others: Mapping[str, Any]
+def _smallest_shown_offsets(
+    one: CameraJudgement, learned: BodyModel, names: Mapping[str, str], by_others: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The smallest offset of each joint that any camera would show: {"value", "unit"}; None where none would."""
     shown = {
@@ -299,32 +299,32 @@ def _least_offsets(
     }
     least = dict[str, Any]()
     for name in learned.joints:
-        told = [each[name] for each in (by_others, shown) if each.get(name) is not None]
-        least[name] = min(told, key=lambda each: float(each["value"]), default=None)
+        camera_evidence = [each[name] for each in (by_others, shown) if each.get(name) is not None]
+        least[name] = min(camera_evidence, key=lambda each: float(each["value"]), default=None)
     return least
 
 
-def _least_offset(change: "Change") -> float:
+def _least_offset(change: "ChangeHypothesis") -> float:
     """The smallest offset, rad or m, that counts as a fault."""
     slides = change.beforehand < _SLIDES_BELOW
     return max(LEAST_SIGMA * change.std, LEAST_OFFSET * (0.1 if slides else 1.0))
 
 
-def _fault(one: Judged, found: Estimate, learned: BodyModel) -> "tuple[Fault | None, Change | None]":
+def _winning_fault(one: CameraJudgement, found: Estimate, learned: BodyModel) -> "tuple[Fault | None, ChangeHypothesis | None]":
     """The fault that wins, if one does, and the change where its size is known."""
     from .kinematics.landmark_hypotheses import CAMERA, SOUND
 
     assert learned.surface is not None
     sound = next(change for change in one.changes if change.name == SOUND)
     best = max(one.changes, key=lambda change: change.nats)
-    if best.nats - sound.nats < NATS or best.name == SOUND:
+    if best.nats - sound.nats < FAULT_EVIDENCE_NATS or best.name == SOUND:
         return None, None
     names = {joint: name for name, joint in learned.surface.joint_of.items()}
     since = float(found.joints.t[0])
-    rivals = [change for change in one.changes if change.name != SOUND and best.nats - change.nats < MARGIN_NATS]
-    if len(rivals) > 1:
-        alike = [names.get(change.name, one.camera) for change in rivals]
-        return Fault("encoders", EITHER.join(alike), "offset", since, float("nan"), "rad"), None
+    indistinct_changes = [change for change in one.changes if change.name != SOUND and best.nats - change.nats < MARGIN_NATS]
+    if len(indistinct_changes) > 1:
+        indistinct_names = [names.get(change.name, one.camera) for change in indistinct_changes]
+        return Fault("encoders", ALTERNATIVE_SEPARATOR.join(indistinct_names), "offset", since, float("nan"), "rad"), None
     if best.name == CAMERA:
         return Fault("vision", one.camera, "moved", since, float("nan"), "m"), None
     if abs(best.value) < _least_offset(best) or names[best.name] not in one.identifiable:
@@ -334,7 +334,7 @@ def _fault(one: Judged, found: Estimate, learned: BodyModel) -> "tuple[Fault | N
     return Fault("encoders", names[best.name], "offset", since, -best.value, unit, best.std), best
 
 
-def _without_offset(found: Estimate, fault: Fault) -> Estimate:
+def _subtract_joint_offset(found: Estimate, fault: Fault) -> Estimate:
     """The estimate with a joint's offset subtracted, and its variance added."""
     assert fault.std is not None
     joint = found.joints.names.index(fault.name)

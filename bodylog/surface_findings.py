@@ -5,7 +5,7 @@ from pathlib import Path
 
 from . import delay_findings
 from .body_model import BodyModel
-from .delay_findings import Examined, middle
+from .delay_findings import ExaminedDelays, middle_of_recording
 from .errors import EvidenceError
 from .settings import Settings
 from .surface_calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, calibrate_cameras
@@ -16,23 +16,23 @@ LATE_S = 0.003
 """A delay below this matters to nobody."""
 
 
-def examine_delays(log: Path, body: BodyModel | None, settings: Settings) -> Examined:
+def examine_delays(log: Path, body: BodyModel | None, settings: Settings) -> ExaminedDelays:
     """Examine a log by its surface (a URDF, no body); else by a body, or one learned from it."""
     if body is None and settings.kinematics.urdf is not None:
-        return examine(log, settings)
+        return examine_by_surface(log, settings)
     if body is not None and body.surface is not None:
         return examine_by_body(log, body, settings)
-    return delay_findings.examine(log, body, settings)
+    return delay_findings.measure_image_delays(log, body, settings)
 
 
-def examine(log: Path, settings: Settings) -> Examined:
+def examine_by_surface(log: Path, settings: Settings) -> ExaminedDelays:
     """Calibrate each camera of a log by the surface and judge the log with that; a finding where that cannot be.
 
     ModelError where the URDF has no joint of the log.
     """
     from .recording import recording
 
-    read = middle(recording.read(log, settings, settings.input.strict), LONGEST_S, MOST_IMAGES)
+    read = middle_of_recording(recording.read_recording(log, settings, settings.input.strict), LONGEST_S, MOST_IMAGES)
     scores, findings = list[Score](), list[Finding]()
     try:
         for one in calibrate_cameras([(log, read)], settings):
@@ -43,29 +43,29 @@ def examine(log: Path, settings: Settings) -> Examined:
             findings += [Finding(f.severity, f"{log}: {f.text}") for f in findings_of(one)]
     except EvidenceError as problem:
         findings.append(Finding("info", str(problem)))
-    return Examined(tuple(scores), tuple(findings))
+    return ExaminedDelays(tuple(scores), tuple(findings))
 
 
-def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> Examined:
+def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> ExaminedDelays:
     """Judge a log by a body of the robot's surface: delays, and what differs from the logs it was learned from."""
     from .fault_findings import fault_warnings
-    from .joints_only import joints_alone
-    from .surface_estimate import estimate
+    from .joints_only import read_joints_alone
+    from .surface_estimate import estimate_by_surface
 
-    read, features = joints_alone(log, settings, body)
-    found = estimate(log, read, features, body, settings)
-    from .evaluation.figures import delays
+    read, features = read_joints_alone(log, settings, body)
+    found = estimate_by_surface(log, read, features, body, settings)
+    from .evaluation.figures import list_delays
 
-    told = (*found.findings, *fault_warnings(found.faults))
-    return Examined(tuple(delays(found)), tuple(Finding(one.severity, f"{log}: {one.text}") for one in told))
+    all_findings = (*found.findings, *fault_warnings(found.faults))
+    return ExaminedDelays(tuple(list_delays(found)), tuple(Finding(one.severity, f"{log}: {one.text}") for one in all_findings))
 
 
 def scores_of(one: SurfaceCalibration) -> Iterator[Score]:
     """Delay, row time, focal length and zeros with their deviations; the delay is the first log's."""
     import numpy as np
 
-    from .body.kinematic.scores import zeros
-    from .kinematics.identifiability import offsets
+    from .body.kinematic.scores import zero_scores
+    from .kinematics.identifiability import joint_zeros
 
     name = one.camera or "camera"
     fit, std = one.fit, np.sqrt(np.diag(one.covariance))
@@ -80,15 +80,15 @@ def scores_of(one: SurfaceCalibration) -> Iterator[Score]:
     yield Score(f"std/focal/{name}", focal * float(std[6]), "px")
     yield Score(f"rmse/surface/{name}", fit.error_px, "px")
     yield Score(f"used_share/{name}", one.used_share, "1")
-    yield from zeros(offsets(model.rig, fit.phi, one.covariance))
+    yield from zero_scores(joint_zeros(model.rig, fit.phi, one.covariance))
 
 
 def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
     """What a calibration tells in sentences: delay, row time, lens, zeros, and what it does not tell."""
     import numpy as np
 
-    from .estimation.timing.correction import worded
-    from .kinematics.identifiability import offsets, unidentified
+    from .estimation.timing.correction import describe_delay
+    from .kinematics.identifiability import joint_zeros, describe_unidentified
 
     name = one.camera or "camera"
     fit, std = one.fit, np.sqrt(np.diag(one.covariance))
@@ -100,7 +100,7 @@ def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
     text = f"{used} {links} links, {fit.error_px:.2f} px off per axis"
     yield Finding("info", f"{name}: {text}")
     delay, error = float(one.delays[0]), float(one.delay_std[0])
-    words = f"{name}: {worded(delay, error)}, by the robot's surface"
+    words = f"{name}: {describe_delay(delay, error)}, by the robot's surface"
     if abs(delay) > max(SIGNIFICANT_SIGMA * error, LATE_S):
         yield Finding("warning", f"{words}; fit and estimate measure and correct it")
     else:
@@ -110,11 +110,11 @@ def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
         yield Finding("info", f"{name}: a rolling shutter takes {1e3 * row:.0f} ± {1e3 * row_error:.0f} ms an image")
     focal = float(np.exp(fit.phi[6]))
     yield Finding("info", f"{name}: focal length {focal:.0f} ± {focal * float(std[6]):.0f} px")
-    found = offsets(model.rig, fit.phi, one.covariance)
+    found = joint_zeros(model.rig, fit.phi, one.covariance)
     for zero in found:
         if zero.identifiable and abs(zero.value) > SIGNIFICANT_SIGMA * zero.std:
             yield Finding("warning", f"{zero.joint}: its zero is off by {zero.shown}")
-    for reason in unidentified(found):
+    for reason in describe_unidentified(found):
         yield Finding("info", reason)
     if one.still:
         yield Finding("info", f"joints at rest, of which nothing is told: {', '.join(one.still)}")

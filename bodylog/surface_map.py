@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from .errors import InputError
-from .types import Array, Frame
+from .types import Array, LazyImage
 
 if TYPE_CHECKING:
     from .body_model import LandmarkMap
     from .kinematics.landmark_adjustment import Landmarks
     from .kinematics.landmark_fit import LandmarkFit
-    from .kinematics.landmarks import LandmarkModel, Sightings
+    from .kinematics.landmarks import LandmarkModel, LandmarkSightings
 
 MOST_KEY_FRAMES = 80
 """Images of a log in which landmarks are looked for, evenly spread: memory does not grow with the film."""
@@ -48,16 +48,16 @@ class FoundAgain:
     numbers (k,): the landmarks that were found, in the order of the rows' pieces.
     """
 
-    seen: "Sightings"
+    seen: "LandmarkSightings"
     numbers: Array
     possible: Array
 
 
-def key_frames(film: Callable[[], Iterable[Frame]], t: Array, most: int = MOST_KEY_FRAMES) -> KeyFrames:
+def key_frames(film: Callable[[], Iterable[LazyImage]], t: Array, most: int = MOST_KEY_FRAMES) -> KeyFrames:
     """At most `most` of the images at t (N,) s."""
     import numpy as np
 
-    from .perception.colours.coarse_search import gray
+    from .perception.colours.coarse_search import convert_to_gray
 
     chosen = np.unique(np.linspace(0, len(t) - 1, min(most, len(t))).round().astype(int))
     wanted = set(t[chosen].tolist())
@@ -65,7 +65,7 @@ def key_frames(film: Callable[[], Iterable[Frame]], t: Array, most: int = MOST_K
     for frame in film():
         if frame.t in wanted and frame.t not in found:
             try:
-                found[frame.t] = gray(frame.decode(1))
+                found[frame.t] = convert_to_gray(frame.decode(1))
             except InputError:
                 continue
     return KeyFrames(np.array(sorted(found)), tuple(found[instant] for instant in sorted(found)))
@@ -84,7 +84,7 @@ def find_again(
     import numpy as np
 
     from .kinematics.landmark_map import LEAST_FACING, foretell, nearest_views, view_maps
-    from .kinematics.landmarks import Sightings
+    from .kinematics.landmarks import LandmarkSightings
     from .perception.surface.patches import match_templates, warp_patches
 
     height = next(image.shape[0] for key in keys for image in key.images)
@@ -106,7 +106,7 @@ def find_again(
         return None
     table = table[np.lexsort((table[:, 2], table[:, 1], table[:, 0]))]
     numbers, piece = np.unique(table[:, 0].astype(int), return_inverse=True)
-    seen = Sightings(piece.reshape(-1), table[:, 1].astype(int), table[:, 2], table[:, 3:5], height)
+    seen = LandmarkSightings(piece.reshape(-1), table[:, 1].astype(int), table[:, 2], table[:, 3:5], height)
     return FoundAgain(seen, numbers, possible)
 
 
@@ -117,7 +117,7 @@ def refine(
     """Adjust from landmarks found again alone: the fit, and which landmarks (k,) it uses; None without enough."""
     import numpy as np
 
-    from .kinematics.landmark_adjustment import adjust
+    from .kinematics.landmark_adjustment import adjust_landmarks
     from .kinematics.landmark_fit import LEAST_PIECES, LandmarkFit
 
     kept, result = np.arange(known.count), None
@@ -130,7 +130,7 @@ def refine(
         for _ in range(_ROUNDS):
             if len(numbers) < LEAST_PIECES:
                 return None
-            phi, placed, reduced = adjust(model, phi, seen, landmarks.take(numbers), free)
+            phi, placed, reduced = adjust_landmarks(model, phi, seen, landmarks.take(numbers), free)
             good = np.flatnonzero(rms_errors(seen, reduced.residual) < _MOST_ERROR_PX)
             result = LandmarkFit(model, phi, free, seen, numbers, placed, reduced), kept[numbers]
             landmarks = _with_places(landmarks, numbers, placed.places)
@@ -141,7 +141,7 @@ def refine(
     return result
 
 
-def rms_errors(seen: "Sightings", residual: Array) -> Array:
+def rms_errors(seen: "LandmarkSightings", residual: Array) -> Array:
     """Root mean square error (K,) px of each landmark, from residuals (R,2) px."""
     import numpy as np
 
@@ -155,7 +155,7 @@ def _with_places(landmarks: "Landmarks", numbers: Array, places: Array) -> "Land
 
 
 def build_map(
-    fit: "LandmarkFit", seen: "Sightings", films: Sequence[tuple[Callable[[], Iterable[Frame]], Array]]
+    fit: "LandmarkFit", seen: "LandmarkSightings", films: Sequence[tuple[Callable[[], Iterable[LazyImage]], Array]]
 ) -> "tuple[LandmarkFit, LandmarkMap] | None":
     """Find the landmarks of a fit again in its logs' films, and adjust from these sightings alone.
 
@@ -164,15 +164,15 @@ def build_map(
     """
     import numpy as np
 
-    from .kinematics.landmark_adjustment import Landmarks, assign
-    from .kinematics.landmark_fit import explained
+    from .kinematics.landmark_adjustment import Landmarks, assign_pieces
+    from .kinematics.landmark_fit import explained_pieces
 
     model, phi = fit.model, fit.phi
     most = min(MOST_KEY_FRAMES, max(MOST_KEPT_FRAMES // len(films), 20))
     keys = [key_frames(film, t, most) for film, t in films]
-    chosen = assign(model, phi, seen.thinned(2))
+    chosen = assign_pieces(model, phi, seen.thinned(2))
     moves = np.array([len(body.chain.column) > 0 for body in model.bodies])[chosen.body]
-    sound = (chosen.error < _CANDIDATE_PX) & explained(model, chosen) & moves
+    sound = (chosen.error < _CANDIDATE_PX) & explained_pieces(model, chosen) & moves
     used = np.flatnonzero(sound)
     part = seen.take(used)
     landmarks = Landmarks(chosen.body[used], chosen.places[used])
@@ -227,7 +227,7 @@ def distinct_landmarks(fit: "LandmarkFit") -> Array:
 
 
 def _with_views(
-    model: "LandmarkModel", phi: Array, seen: "Sightings", landmarks: "Landmarks", keys: Sequence[KeyFrames]
+    model: "LandmarkModel", phi: Array, seen: "LandmarkSightings", landmarks: "Landmarks", keys: Sequence[KeyFrames]
 ) -> "tuple[LandmarkMap, Landmarks] | None":
     """A map of the landmarks with views from where they were seen, as differently as can be; None without any."""
     import numpy as np

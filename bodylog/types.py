@@ -13,7 +13,7 @@ from typing import Any, Protocol, Self
 from .logs.records import Array as Array
 from .logs.records import Batch as Batch
 from .logs.records import Finding as Finding
-from .logs.records import Frame as Frame
+from .logs.records import LazyImage as LazyImage
 from .logs.records import Outgoing as Outgoing
 from .logs.records import Topic as Topic
 from .settings import Settings
@@ -62,7 +62,7 @@ class Health:
 class FrameConsumer(Protocol):
     """Gets each image of a log's first camera, within a `with` block, while the log is read."""
 
-    def __call__(self, frame: Frame) -> None:
+    def __call__(self, frame: LazyImage) -> None:
         """Take the next image in file order; its time is not known yet."""
 
     def __enter__(self) -> Self:
@@ -182,12 +182,12 @@ class Recording:
     joints: Series | None
     skin: Series | None
     truth: Series | None
-    frames: Callable[[], Iterator[Frame]] | None
+    frames: Callable[[], Iterator[LazyImage]] | None
     features: Features | None
     health: Mapping[str, Health]
     findings: tuple[Finding, ...] = ()
     reference: Series | None = None
-    views: Mapping[str, Callable[[], Iterator[Frame]]] = field(default_factory=dict)
+    views: Mapping[str, Callable[[], Iterator[LazyImage]]] = field(default_factory=dict)
     settings: Settings = field(default_factory=Settings)
     consumed: ConsumedFrames | None = None
     poses: bool = False
@@ -197,7 +197,7 @@ class Recording:
     track_health: Mapping[str, Health] = field(default_factory=dict)
 
 
-EITHER = " or "
+ALTERNATIVE_SEPARATOR = " or "
 """Between the names of joints one of which is faulty."""
 
 
@@ -223,7 +223,7 @@ class Fault:
     @property
     def alternatives(self) -> tuple[str, ...]:
         """Names, after the first, of those that explain the log alike."""
-        return tuple(self.name.split(EITHER)[1:])
+        return tuple(self.name.split(ALTERNATIVE_SEPARATOR)[1:])
 
 
 @dataclass(frozen=True)

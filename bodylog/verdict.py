@@ -5,33 +5,33 @@ from typing import Any
 
 import numpy as np
 
-from .evaluation.figures import FIRST, LEAST_OFFSETS, MEASURED_DELAYS, MISFIT, doubtful_delays
+from .evaluation.figures import OFF_FROM_START_S, LEAST_OFFSETS, MEASURED_DELAYS, MISFIT, doubtful_delays
 from .fault_findings import span_text
-from .score_names import split
-from .types import EITHER, LASTING_ERROR, Estimate, Fault, Score
-from .wording import quantity
+from .score_names import split_score_name
+from .types import ALTERNATIVE_SEPARATOR, LASTING_ERROR, Estimate, Fault, Score
+from .wording import quantity_text
 
-MOST = 3
+MAX_LISTED = 3
 """Faults, tracks or offsets that are written out; of more than one other the names."""
-FAITHFUL = 0.05
+ERROR_BAR_TOLERANCE = 0.05
 """Share by which error bars may be too wide or too narrow and still be called true."""
 _SHORTEST_DELAY = 1e-3
 """s: shorter camera delays are left out."""
 
 
-def of_estimate(found: Estimate, scores: Sequence[Score]) -> tuple[str, ...]:
+def verdict_of_estimate(found: Estimate, scores: Sequence[Score]) -> tuple[str, ...]:
     """Faults, camera delays, senses without a fault, and the error, or the error bars where there is no truth.
 
     Of a log that does not fit the body, that alone.
     """
     if MISFIT in found.settings:
         return (str(found.settings[MISFIT]["text"]),)
-    faults = [_fault(fault) for fault in found.faults]
-    sure = (*_first(faults, "faults"), *_delays(found), *_lasting_error(found))
-    return (*sure, _agreement(found), *_error(found, scores))
+    faults = [_fault_sentence(fault) for fault in found.faults]
+    sure = (*_first_lines(faults, "faults"), *_delay_sentences(found), *_lasting_error_sentences(found))
+    return (*sure, _agreement_sentence(found), *_error_sentences(found, scores))
 
 
-def of_body(
+def verdict_of_body(
     joints: Sequence[str], scores: Sequence[Score], placements: Sequence[str] = (), others: Sequence[str] = ()
 ) -> tuple[str, ...]:
     """Joints and tracks learned, held-out errors, calibration, joint zeros, and errors on test logs.
@@ -40,16 +40,16 @@ def of_body(
     """
     values = {score.name: score.value for score in scores}
     left = f"; not over {', '.join(others)}; -v says why" if others else ""
-    learned = f"learned over {_count(len(joints), 'joint')}: {', '.join(joints)}{left}"
-    errors = [_held_out(track, value, values) for track, value in _of(values, "rmse/held_out").items()]
-    offsets = [_offset(score, values) for score in scores if split(score.name)[0] == "offset"]
-    tests = [_tested(track, value, values) for track, value in _of(values, "rmse/test").items()]
+    learned = f"learned over {_counted_noun(len(joints), 'joint')}: {', '.join(joints)}{left}"
+    errors = [_held_out_sentence(track, value, values) for track, value in _values_by_part(values, "rmse/held_out").items()]
+    offsets = [_zero_sentence(score, values) for score in scores if split_score_name(score.name)[0] == "offset"]
+    tests = [_test_log_sentence(track, value, values) for track, value in _values_by_part(values, "rmse/test").items()]
     wrong = [one for one in offsets if one]
-    placed = _first(placements, "cameras and markers")
-    return (learned, *_first(errors, "tracks"), *placed, *_first(wrong, "zeros", "; "), *tests[:1])
+    placed = _first_lines(placements, "cameras and markers")
+    return (learned, *_first_lines(errors, "tracks"), *placed, *_first_lines(wrong, "zeros", "; "), *tests[:1])
 
 
-def of_batch(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def verdict_of_batch(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """How many logs of a batch ended how, and the median and largest of their errors (rad)."""
     scored = {row["name"]: row["scores"].get("rmse/joint") for row in rows}
     errors = {name: error for name, error in scored.items() if error is not None}
@@ -57,78 +57,78 @@ def of_batch(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     for row in rows:
         counts[str(row["status"])] = counts.get(str(row["status"]), 0) + 1
     ended = ", ".join(f"{count} {status}" for status, count in counts.items())
-    lines = [f"{_count(len(rows), 'log')}: {ended}"]
+    lines = [f"{_counted_noun(len(rows), 'log')}: {ended}"]
     if errors:
         worst = max(errors, key=lambda name: errors[name])
         middle = float(np.median(list(errors.values())))
-        lines.append(f"error (RMSE): median {_angle(middle)}, largest {_angle(errors[worst])} in {worst}")
+        lines.append(f"error (RMSE): median {_angle_text(middle)}, largest {_angle_text(errors[worst])} in {worst}")
     return tuple(lines)
 
 
-def _first(lines: Sequence[str], what: str, joined: str | None = None) -> list[str]:
-    """The first MOST lines, and the names of the rest; a single one more is a line itself."""
-    rest = lines[MOST:]
+def _first_lines(lines: Sequence[str], what: str, joined: str | None = None) -> list[str]:
+    """The first MAX_LISTED lines, and the names of the rest; a single one more is a line itself."""
+    rest = lines[MAX_LISTED:]
     if len(rest) > 1:
         names = ", ".join(dict.fromkeys(line.partition(":")[0] for line in rest))
         rest = [f"{len(rest)} more {what}: {names}"]
-    shown = [*lines[:MOST], *rest]
+    shown = [*lines[:MAX_LISTED], *rest]
     return [joined.join(shown)] if joined is not None and shown else shown
 
 
-def _of(values: Mapping[str, float], figure: str) -> dict[str, float]:
+def _values_by_part(values: Mapping[str, float], figure: str) -> dict[str, float]:
     """The scores of one figure by part."""
-    return {split(name)[1]: value for name, value in values.items() if split(name)[0] == figure}
+    return {split_score_name(name)[1]: value for name, value in values.items() if split_score_name(name)[0] == figure}
 
 
-def _fault(fault: Fault) -> str:
+def _fault_sentence(fault: Fault) -> str:
     known = fault.size == fault.size
-    size = quantity(fault.size, fault.std, fault.unit)
-    text = _WORDS.get((fault.sense, fault.kind), _other)(fault, size, span_text(fault), known)
-    return text if known or EITHER not in fault.name else f"{text} (the log cannot tell which)"
+    size = quantity_text(fault.size, fault.std, fault.unit)
+    text = _WORDS.get((fault.sense, fault.kind), _other_fault_sentence)(fault, size, span_text(fault), known)
+    return text if known or ALTERNATIVE_SEPARATOR not in fault.name else f"{text} (the log cannot tell which)"
 
 
-def _drifting(fault: Fault, size: str, since: str, known: bool) -> str:
-    if fault.since < FIRST:
+def _drift_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
+    if fault.since < OFF_FROM_START_S:
         return f"{fault.name}: encoder is off from the start{f', by {size}' * known}"
     return f"{fault.name}: encoder drifts {since}{f', by {size}' * known}"
 
 
-def _jumping(fault: Fault, size: str, since: str, known: bool) -> str:
+def _jump_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
     return f"{fault.name}: encoder jumps{f' by {size}' * known} at {fault.since:.1f} s"
 
 
-def _glitch(fault: Fault, size: str, since: str, known: bool) -> str:
+def _glitch_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
     when = f"for a moment at {fault.since:.1f} s" if fault.until is None else since
     return f"{fault.name}: encoder is off by {size} {when}"
 
 
-def _moved(fault: Fault, size: str, since: str, known: bool) -> str:
+def _moved_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
     if not known:
         return f"{fault.name}: moved since the body was learned"
     if fault.unit == "rad":
         return f"{fault.name}: turned since the body was learned, by {size}"
-    turn = "" if fault.turn is None else f" and turned by {quantity(fault.turn, fault.turn_std, 'rad')}"
+    turn = "" if fault.turn is None else f" and turned by {quantity_text(fault.turn, fault.turn_std, 'rad')}"
     return f"{fault.name}: its centre moved since the body was learned, by {size}{turn}"
 
 
-def _other(fault: Fault, size: str, since: str, known: bool) -> str:
+def _other_fault_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
     return f"{fault.name}: {fault.kind} ({fault.sense}) {since}{f', {size}' * known}"
 
 
 _WORDS: Mapping[tuple[str, str], Callable[[Fault, str, str, bool], str]] = {
-    ("encoders", "drifting"): _drifting,
+    ("encoders", "drifting"): _drift_sentence,
     ("encoders", "offset"): lambda f, size, since, known: f"{f.name}: encoder is off{f' by {size}' * known} {since}",
-    ("encoders", "jumping"): _jumping,
-    ("encoders", "glitch"): _glitch,
+    ("encoders", "jumping"): _jump_sentence,
+    ("encoders", "glitch"): _glitch_sentence,
     ("encoders", "frozen"): lambda f, size, since, known: f"{f.name}: encoder is frozen {since}",
     ("encoders", "dead"): lambda f, size, since, known: f"{f.name}: encoder is silent {since}",
     ("vision", "frozen"): lambda f, size, since, known: f"{f.name}: its images are frozen {since}",
     ("vision", "displaced"): lambda f, size, since, known: f"{f.name}: camera moved {since}, by {size} in the image",
-    ("vision", "moved"): _moved,
+    ("vision", "moved"): _moved_sentence,
 }  # fmt: skip
 
 
-def _delays(found: Estimate) -> Iterator[str]:
+def _delay_sentences(found: Estimate) -> Iterator[str]:
     """Camera delays that the estimate corrects, and those that are evident but in doubt."""
     known = found.settings.get("delay", {})
     for camera, delay in known.items() if isinstance(known, Mapping) else ():
@@ -140,7 +140,7 @@ def _delays(found: Estimate) -> Iterator[str]:
         yield f"{camera}: timestamps seem {abs(delay) * 1e3:.3g} ± {std * 1e3:.1g} ms {way}; not corrected: {doubt}"
 
 
-def _lasting_error(found: Estimate) -> Iterator[str]:
+def _lasting_error_sentences(found: Estimate) -> Iterator[str]:
     """Errors of encoders that last, by which error bars are widened."""
     own = found.settings.get(LASTING_ERROR)
     if isinstance(own, Mapping):
@@ -149,28 +149,28 @@ def _lasting_error(found: Estimate) -> Iterator[str]:
         yield f"encoders: errors last about {size}; error bars are wider for it ({narrow})"
 
 
-def _agreement(found: Estimate) -> str:
+def _agreement_sentence(found: Estimate) -> str:
     """The senses in which no fault is found, and which faults were not looked for."""
-    faulty = {name for fault in found.faults for name in (*fault.name.split(EITHER), fault.name)}
+    faulty = {name for fault in found.faults for name in (*fault.name.split(ALTERNATIVE_SEPARATOR), fault.name)}
     tracks = [name for name, health in found.used.items() if health.used and name != "encoders"]
     sound = [name for name in tracks if name not in faulty and (name.rpartition("/")[0] or "camera") not in faulty]
     encoders = [name for name in found.joints.names if name not in faulty]
     if "encoders" in found.used and found.used["encoders"].used and encoders:
-        sound.insert(0, _count(len(encoders), "encoder"))
+        sound.insert(0, _counted_noun(len(encoders), "encoder"))
     listed = " and ".join([", ".join(sound[:-1]), sound[-1]] if sound[1:] else sound)
     text = f"no fault found in {listed or 'any sense'}"
     if not found.can.repairs:
         return f"{text}; {found.method} does not look for encoder offsets"
     if limits := found.settings.get(LEAST_OFFSETS):
-        return f"{text}; {_least_offsets(limits)}"
+        return f"{text}; {_least_offset_sentence(limits)}"
     judged = isinstance(found.settings.get(MEASURED_DELAYS), Mapping) and found.settings[MEASURED_DELAYS]
     return text if tracks or judged else f"{text}; without images, an encoder offset cannot be found"
 
 
-def _least_offsets(limits: Mapping[str, Any]) -> str:
+def _least_offset_sentence(limits: Mapping[str, Any]) -> str:
     """Which offsets the robot's surface would not show: no error bar holds them."""
     shown = [
-        f"{joint} {quantity(float(one['value']), None, one['unit'])}" for joint, one in limits.items() if one
+        f"{joint} {quantity_text(float(one['value']), None, one['unit'])}" for joint, one in limits.items() if one
     ]
     blind = [joint for joint, one in limits.items() if not one]
     parts = [f"of {', '.join(blind)} none would be found"] if blind else []
@@ -179,12 +179,12 @@ def _least_offsets(limits: Mapping[str, Any]) -> str:
     return f"error bars hold no offset: {'; '.join(parts)}"
 
 
-def _error(found: Estimate, scores: Sequence[Score]) -> Iterator[str]:
+def _error_sentences(found: Estimate, scores: Sequence[Score]) -> Iterator[str]:
     values = {score.name: score.value for score in scores}
     if "rmse/joint" in values:
-        raw = f", raw encoders {_angle(values['rmse/encoders'])}" if "rmse/encoders" in values else ""
+        raw = f", raw encoders {_angle_text(values['rmse/encoders'])}" if "rmse/encoders" in values else ""
         covered = f"; 2σ covers {values['coverage_2sigma/joint']:.1f} % of the truth"
-        yield f"error (RMSE) {_angle(values['rmse/joint'])}{raw}{covered}"
+        yield f"error (RMSE) {_angle_text(values['rmse/joint'])}{raw}{covered}"
     elif bar := typical_error_bar(found):
         yield f"no truth to compare with; typical 2σ error bar {bar}"
     if "rmse/effector_position" in values:
@@ -196,45 +196,45 @@ def typical_error_bar(found: Estimate) -> str:
     if not len(found.cov):
         return ""
     typical = 2.0 * float(np.sqrt(np.median(np.einsum("nii->ni", found.cov))))
-    return f"± {quantity(typical, None, _unit(found))}"
+    return f"± {quantity_text(typical, None, _joint_unit(found))}"
 
 
-def _angle(value: float) -> str:
-    return quantity(value, None, "rad")
+def _angle_text(value: float) -> str:
+    return quantity_text(value, None, "rad")
 
 
-def _unit(found: Estimate) -> str:
+def _joint_unit(found: Estimate) -> str:
     """The unit of the joints: rad, unless the readings are counts or of an unknown unit."""
     return str(found.settings.get("joint_unit", "rad"))
 
 
-def _held_out(track: str, value: float, values: Mapping[str, float]) -> str:
-    bars = _error_bars(values.get(f"nis/held_out/{track}"))
+def _held_out_sentence(track: str, value: float, values: Mapping[str, float]) -> str:
+    bars = _error_bar_text(values.get(f"nis/held_out/{track}"))
     return f"{track}: error {value:.3g} px on held-out parts of the log{bars}"
 
 
-def _error_bars(nis: float | None) -> str:
+def _error_bar_text(nis: float | None) -> str:
     """How far error bars are from the errors that they are for, by the mean squared error in standard deviations."""
     if nis is None or not nis > 0.0:
         return ""
     factor = nis**-0.5
-    if abs(factor - 1.0) < FAITHFUL:
-        return f"; its error bars are true to {100.0 * FAITHFUL:.0f} % (NIS {nis:.2f})"
+    if abs(factor - 1.0) < ERROR_BAR_TOLERANCE:
+        return f"; its error bars are true to {100.0 * ERROR_BAR_TOLERANCE:.0f} % (NIS {nis:.2f})"
     way = "wide" if factor > 1.0 else "narrow"
     return f"; its error bars are {100.0 * abs(factor - 1.0):.0f} % too {way} (NIS {nis:.2f})"
 
 
-def _offset(offset: Score, values: Mapping[str, float]) -> str | None:
+def _zero_sentence(offset: Score, values: Mapping[str, float]) -> str | None:
     std = values.get(f"std/{offset.name}", 0.0)
-    joint = split(offset.name)[1]
-    size = quantity(offset.value, std, offset.unit, signed=True)
+    joint = split_score_name(offset.name)[1]
+    size = quantity_text(offset.value, std, offset.unit, signed=True)
     return f"{joint}: zero is off by {size}" if abs(offset.value) > 2.0 * std else None
 
 
-def _tested(track: str, value: float, values: Mapping[str, float]) -> str:
+def _test_log_sentence(track: str, value: float, values: Mapping[str, float]) -> str:
     covered = values.get(f"coverage_2sigma/test/{track}", float("nan"))
     return f"{track}: error {value:.3g} px on the test logs; 2σ covers {covered:.0f} %"
 
 
-def _count(number: int, what: str) -> str:
+def _counted_noun(number: int, what: str) -> str:
     return f"{number} {what}{'s' * (number != 1)}"

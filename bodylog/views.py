@@ -10,68 +10,68 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .body_model import BodyModel
-from .checks import distinct, log_context
+from .checks import require_distinct_paths, log_context
 from .default_features import toml_line
 from .errors import EvidenceError, FormatError, LogError
 from .fault_findings import fault_warnings
 from .io.atomic_files import ensure_dir, is_archive
 from .io.outputs import Output
 from .io.remote import errors_about
-from .io.temporary import scratch
+from .io.temporary import create_scratch_folder
 from .logs.protocol import Progress
 from .logs.topic_names import PREFIX
-from .pipeline import Result, doctor, folders, ingest, observe
+from .pipeline import Result, diagnose_log, requested_folders, ingest, observe
 from .result import NO_SCORES, Scores, estimate_result
 from .scoring import score_estimate
-from .settings import Settings, hand_colour, plain
+from .settings import Settings, hand_colour, settings_as_values
 from .types import Array, Estimate, Features, Finding, Recording
-from .written_messages import topic_of
+from .written_messages import topic_of_role
 
 if TYPE_CHECKING:
     from .perception import Candidate
-    from .perception.tracking.candidates import Survey
-    from .report.figures.reprojection import Sheet, Zero
-    from .report.viewers.image_overlay import Picture
-    from .report.viewers.rerun_recording import Camera
+    from .perception.tracking.candidates import FeatureSurvey
+    from .report.figures.reprojection import ReprojectionSheet, JointZero
+    from .report.viewers.image_overlay import OverlayPicture
+    from .report.viewers.rerun_recording import RerunCamera
 
 
-def plot(source: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
+def draw_log_or_body(source: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
     """Draw a body model (.npz), or any log: joints, pixels, skin, events and trajectories over time."""
     from .report.figures import figures
 
-    distinct([source], [Output(out)], settings)
+    require_distinct_paths([source], [Output(out)], settings)
     if is_archive(source):
         from .body import storage
 
-        learned = storage.load(source)
+        learned = storage.load_body(source)
         with log_context(source):
-            figures.body_figure(learned, out, *_reprojected(learned))
+            figures.body_figure(learned, out, *_reprojection_sheets(learned))
         return Result(out)
     read, features = observe(source, settings, progress, guess=True)
     with log_context(source):
         figures.recording_figure(read, features, out)
     health = {**read.health, **features.health}
-    return Result(out, NO_SCORES, health, (*read.findings, *features.findings), plain(settings))
+    return Result(out, NO_SCORES, health, (*read.findings, *features.findings), settings_as_values(settings))
 
 
-def _reprojected(learned: BodyModel) -> "tuple[tuple[Sheet, ...], tuple[Zero, ...]]":
+def _reprojection_sheets(learned: BodyModel) -> "tuple[tuple[ReprojectionSheet, ...], tuple[JointZero, ...]]":
     """Reprojection sheets of a body learned with a URDF, and the joints' zeros."""
     from .body.kinematic.model import KinematicGP
-    from .body.kinematic.offsets import learned as told
-    from .body.kinematic.offsets import plain as values
+    from .body.kinematic.offsets import learned_zeros as told
+    from .body.kinematic.offsets import offsets_as_values as values
     from .report.figures import reprojection
 
     senses = {name: sense for name, sense in learned.senses.items() if isinstance(sense, KinematicGP)}
     if not senses:
         return (), ()
     drawn = tuple(
-        reprojection.Sheet(name, sense.targets, sense.kinematics(sense.samples), sense.means(sense.samples)[0])
+        reprojection.ReprojectionSheet(name, sense.targets, sense.kinematics(sense.samples), sense.means(sense.samples)[0])
         for name, sense in senses.items()
     )
-    return drawn, reprojection.zeros(values(told(learned)))
+    return drawn, reprojection.parse_zeros(values(told(learned)))
 
 
-def report(
+def write_report(
     log: Path, out: Path, settings: Settings, figures: Path | None = None, progress: Progress | None = None
 ) -> Result:
     """Write one HTML page about an annotated log; with `figures`, also image files in that folder.
@@ -82,38 +82,38 @@ def report(
     from .report.page import page
     from .report.viewers import image_overlay
 
-    distinct([log], [Output(out), *folders("--figures", figures)], settings)
-    done = progress or _ignore
+    require_distinct_paths([log], [Output(out), *requested_folders("--figures", figures)], settings)
+    done = progress or _ignore_progress
     read, features = observe(log, settings)
     found = read_back.read_estimate(log, read.start_ns)
     done(1)
-    shown = image_overlay.pictures(read, features, found)
+    shown = image_overlay.draw_pictures(read, features, found)
     done(1)
     findings = (*read.findings, *fault_warnings(found.faults))
     result = estimate_result(out, found, score_estimate(found, read), found.used, findings)
     metadata = read_back.read_metadata(log)
-    page.write(out, found, features, read, result.scores, shown, metadata, result.verdict, result.headline)
+    page.write_report_page(out, found, features, read, result.scores, shown, metadata, result.verdict, result.headline)
     done(1)
     if figures is not None:
-        _figures(figures, read, features, found, shown)
+        _write_report_figures(figures, read, features, found, shown)
         done(1)
     return result
 
 
-def layout(log: Path, out: Path, settings: Settings) -> Result:
+def write_viewer_layout(log: Path, out: Path, settings: Settings) -> Result:
     """Write a viewer's layout for an annotated log."""
     from .annotating import read_back
     from .recording import recording
     from .report.viewers import foxglove as viewer
 
-    distinct([log], [Output(out)], settings)
-    read = recording.read(log, settings, settings.input.strict)
+    require_distinct_paths([log], [Output(out)], settings)
+    read = recording.read_recording(log, settings, settings.input.strict)
     found = read_back.read_estimate(log, read.start_ns)
-    viewer.write(out, topic_of(read, "camera"), found, {name: _topic(read, name) for name in read.views})
+    viewer.write_foxglove_layout(out, topic_of_role(read, "camera"), found, {name: _camera_topic(read, name) for name in read.views})
     return Result(out)
 
 
-def view(log: Path, out: Path | None, settings: Settings, progress: Progress | None = None) -> Result:
+def show_in_rerun(log: Path, out: Path | None, settings: Settings, progress: Progress | None = None) -> Result:
     """A log as a Rerun recording with measurements and estimate over its images; without `out`, in a window.
 
     `progress` is called when the log is readable for Rerun, converted, drawn over, and merged.
@@ -121,44 +121,44 @@ def view(log: Path, out: Path | None, settings: Settings, progress: Progress | N
     from .report.viewers import rerun_process
 
     if out is not None:
-        distinct([log], [Output(out)], settings)
-    rerun_process.ready()
-    with scratch() as folder:
+        require_distinct_paths([log], [Output(out)], settings)
+    rerun_process.require_rerun()
+    with create_scratch_folder() as folder:
         recorded = folder / "log.rrd" if out is None else out
         source, lost = _as_mcap(log, folder / "log.mcap", settings)
-        done = progress or _ignore
+        done = progress or _ignore_progress
         done(1)
         try:
-            result = _recorded(log, source, recorded, settings, done)
+            result = _write_rerun_recording(log, source, recorded, settings, done)
         except LogError as refused:
-            source, lost = _tidied(log, folder / "tidy.mcap", settings, refused)
-            result = _recorded(log, source, recorded, settings, done)
+            source, lost = _ingest_refused_log(log, folder / "tidy.mcap", settings, refused)
+            result = _write_rerun_recording(log, source, recorded, settings, done)
         if out is None:
-            rerun_process.show(recorded)
+            rerun_process.open_window(recorded)
     return replace(result, output=out, findings=(*lost, *result.findings))
 
 
-def _ignore(_: int) -> None:
+def _ignore_progress(_: int) -> None:
     """No progress is shown."""
 
 
-def _recorded(log: Path, source: Path, out: Path, settings: Settings, done: Progress) -> Result:
+def _write_rerun_recording(log: Path, source: Path, out: Path, settings: Settings, done: Progress) -> Result:
     """The Rerun recording of `source`, a readable copy of `log`."""
     from .recording import recording
     from .report.viewers import rerun_process, rerun_recording
 
-    read = recording.read(source, settings, settings.input.strict)
-    found, findings = _estimate(log, source, read)
-    cameras = _cameras(source, read)
-    drawn = partial(rerun_recording.write, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
+    read = recording.read_recording(source, settings, settings.input.strict)
+    found, findings = _read_estimate(log, source, read)
+    cameras = _rerun_cameras(source, read)
+    drawn = partial(rerun_recording.write_companion, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
     with errors_about(source, str(log)):
-        unshown = rerun_process.recording(source, out, f"{log.name} {read.start_ns}", drawn, done)
-    findings = (*read.findings, *findings, *_left_out(log, unshown, cameras))
+        unshown = rerun_process.merge_recording(source, out, f"{log.name} {read.start_ns}", drawn, done)
+    findings = (*read.findings, *findings, *_unshown_findings(log, unshown, cameras))
     scores = NO_SCORES if found is None else Scores(score_estimate(found, read))
     return Result(out, scores, findings=findings)
 
 
-def _tidied(log: Path, out: Path, settings: Settings, refused: LogError) -> tuple[Path, tuple[Finding, ...]]:
+def _ingest_refused_log(log: Path, out: Path, settings: Settings, refused: LogError) -> tuple[Path, tuple[Finding, ...]]:
     """`ingest` a log that Rerun `refused`; raise that error where the result is empty, or an estimate is lost."""
     from .logs.formats import open_log
 
@@ -172,7 +172,7 @@ def _tidied(log: Path, out: Path, settings: Settings, refused: LogError) -> tupl
     raise refused
 
 
-def _left_out(log: Path, unshown: Mapping[str, str], cameras: "Mapping[str, Camera]") -> list[Finding]:
+def _unshown_findings(log: Path, unshown: Mapping[str, str], cameras: "Mapping[str, RerunCamera]") -> list[Finding]:
     """Warnings about entities that Rerun cannot show and that no camera replaces."""
     brought = {camera.entity for camera in cameras.values() if camera.frames is not None}
     left = {entity: why for entity, why in unshown.items() if entity not in brought}
@@ -190,10 +190,10 @@ def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Find
         return out, ingest(log, out, settings).findings
     if is_mcap(log) and all(finding.severity == "info" for finding in findings):
         return log, ()
-    return out, doctor(log, out).findings
+    return out, diagnose_log(log, out).findings
 
 
-def _estimate(log: Path, source: Path, read: Recording) -> tuple[Estimate | None, tuple[Finding, ...]]:
+def _read_estimate(log: Path, source: Path, read: Recording) -> tuple[Estimate | None, tuple[Finding, ...]]:
     """The estimate in a log, or None and a finding that says how to get one."""
     from .annotating import read_back
 
@@ -202,35 +202,35 @@ def _estimate(log: Path, source: Path, read: Recording) -> tuple[Estimate | None
     return None, (Finding("info", f"no estimate in it; type: bodylog estimate {log} --body body.npz -o out.mcap"),)
 
 
-def _cameras(log: Path, read: Recording) -> "dict[str, Camera]":
+def _rerun_cameras(log: Path, read: Recording) -> "dict[str, RerunCamera]":
     """Cameras by name, "" the first; videos beside the log are left out."""
-    from .report.viewers.rerun_recording import Camera
+    from .report.viewers.rerun_recording import RerunCamera
 
     frames = {"": read.frames, **read.views}
-    topics = {name: _topic(read, name) for name in frames}
-    return {name: Camera(topic, _frame_id(log, topic), frames[name]) for name, topic in topics.items() if topic}
+    topics = {name: _camera_topic(read, name) for name in frames}
+    return {name: RerunCamera(topic, _frame_id(log, topic), frames[name]) for name, topic in topics.items() if topic}
 
 
-def _topic(read: Recording, camera: str) -> str:
+def _camera_topic(read: Recording, camera: str) -> str:
     """The image topic of a camera, by its name; "" for a video."""
-    return topic_of(read, f"camera/{camera}".strip("/")) or ""
+    return topic_of_role(read, f"camera/{camera}".strip("/")) or ""
 
 
 def _frame_id(log: Path, topic: str) -> str:
     """The frame_id of a topic's first message, in its header or, as protobuf has it, beside it; "" without one."""
-    from .logs.decode.columns import columns
+    from .logs.decode.columns import read_topic_columns
     from .logs.formats import open_log
 
     with open_log(log) as opened:
         of = next(one for one in opened.topics if one.name == topic)  # two publishers may declare two schemas
         for field in ("header.frame_id", "frame_id"):
             with suppress(FormatError, LogError, IndexError):  # no such field, or no message
-                return str(np.ravel(columns(opened, of, (field,)).column(field))[0])
+                return str(np.ravel(read_topic_columns(opened, of, (field,)).column(field))[0])
     return ""
 
 
 @dataclass(frozen=True, eq=False)
-class Offered:
+class FeatureCandidates:
     """Candidates for features in a log, the likeliest on the arm first, as plain values; number of images searched."""
 
     candidates: list[dict[str, Any]]
@@ -238,30 +238,30 @@ class Offered:
     findings: tuple[Finding, ...]
 
 
-def features(log: Path, out: Path | None, settings: Settings, effector: tuple[float, float] | None) -> Offered:
+def find_feature_candidates(log: Path, out: Path | None, settings: Settings, effector: tuple[float, float] | None) -> FeatureCandidates:
     """Tags and colours in a log, and the share of motion that the joints explain; `out`: a contact sheet (PNG)."""
-    from .perception import survey
+    from .perception import survey_features
     from .recording import recording
     from .report.figures import contact_sheet
     from .report.viewers import image_overlay
 
     if out is not None:
-        distinct([log], [Output(out)], settings)
-    read = recording.read(log, settings, settings.input.strict)
+        require_distinct_paths([log], [Output(out)], settings)
+    read = recording.read_recording(log, settings, settings.input.strict)
     with log_context(log):
-        found = survey(read, hand_colour(settings, read.skin is not None), effector)
+        found = survey_features(read, hand_colour(settings, read.skin is not None), effector)
         if not found.candidates:
             raise EvidenceError(f"no tag and no colour in {found.count} images; mount a printed tag: docs/recording.md")
     boards, rest = _with_boards(found)
-    offered = [*boards, *((_offered(one, one is found.arm), one.track) for one in rest)]
+    offered = [*boards, *((_candidate_as_values(one, one is found.arm), one.track) for one in rest)]
     rows = [row for row, _ in offered]
     if out is not None:
-        marks = [contact_sheet.Mark(_caption(row), row["arm"], track) for row, track in offered]
-        image_overlay.write(contact_sheet.draw(found.images, marks), out)
-    return Offered(rows, found.count, read.findings)
+        marks = [contact_sheet.Mark(_candidate_caption(row), row["arm"], track) for row, track in offered]
+        image_overlay.write_png(contact_sheet.draw_contact_sheet(found.images, marks), out)
+    return FeatureCandidates(rows, found.count, read.findings)
 
 
-def _with_boards(found: "Survey") -> "tuple[list[tuple[dict[str, Any], Array]], list[Candidate]]":
+def _with_boards(found: "FeatureSurvey") -> "tuple[list[tuple[dict[str, Any], Array]], list[Candidate]]":
     """Each board as plain values with the track of its marker seen most often, and the candidates on no board."""
     from .sources import CharucoSource
 
@@ -272,7 +272,7 @@ def _with_boards(found: "Survey") -> "tuple[list[tuple[dict[str, Any], Array]], 
         rest = [one for one in rest if not board.holds(one.source)]
         best = max(members, key=lambda one: (one is found.arm, one.seen))
         counts = f"{board.shape.columns}x{board.shape.rows}"
-        row = _offered(best, best is found.arm)
+        row = _candidate_as_values(best, best is found.arm)
         if not row["arm"] and best.why.startswith("seen in"):
             row["why_not"] = f"seen in {best.seen * found.count:.0f} of {found.count} images, 4 are enough with a URDF"
         source = CharucoSource(counts, 0.0, 0.0, board.dictionary)
@@ -284,21 +284,21 @@ def _with_boards(found: "Survey") -> "tuple[list[tuple[dict[str, Any], Array]], 
     return boards, rest
 
 
-def _offered(one: "Candidate", arm: bool) -> dict[str, Any]:
+def _candidate_as_values(one: "Candidate", arm: bool) -> dict[str, Any]:
     """A candidate as plain values."""
     line = toml_line("effector", one.source)
     share = {"seen": one.seen, "strays_px": one.strays, "explained": one.explained}
     return {"name": one.name, "kind": one.kind, **share, "arm": arm, "why_not": one.why or None, "line": line}
 
 
-def _caption(row: Mapping[str, Any]) -> str:
+def _candidate_caption(row: Mapping[str, Any]) -> str:
     explained = "" if row["explained"] is None else f", joints explain {row['explained']:.0%}"
     text = f"{row['name']}: in {row['seen']:.0%} of the images{explained}"
     also = "also moves as the joints do" if row["why_not"] is None else row["why_not"]
     return f"{text}; the arm's: {row['line']}" if row["arm"] else f"{text}; {also}"
 
 
-def _figures(folder: Path, read: Recording, features: Features, found: Estimate, shown: "Sequence[Picture]") -> None:
+def _write_report_figures(folder: Path, read: Recording, features: Features, found: Estimate, shown: "Sequence[OverlayPicture]") -> None:
     from .report.figures import figures, reprojection
     from .report.viewers import image_overlay
 
@@ -306,7 +306,7 @@ def _figures(folder: Path, read: Recording, features: Features, found: Estimate,
     for suffix in (".png", ".svg"):
         figures.recording_figure(read, features, folder / f"recording{suffix}")
         figures.estimate_figure(found, read.truth, read.joints, folder / f"estimate{suffix}")
-    drawn, zeros = reprojection.sheets(features, found), reprojection.zeros(found.settings.get("offsets"))
+    drawn, zeros = reprojection.build_sheets(features, found), reprojection.parse_zeros(found.settings.get("offsets"))
     if drawn:
         for suffix in (".png", ".svg"):
             figures.reprojection_figure(drawn, zeros, folder / f"reprojection{suffix}")

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from math import degrees
 
 
-def listed(texts: Sequence[str], what: str = "", between: str = ", ", unit: str = "") -> str:
+def list_in_words(texts: Sequence[str], what: str = "", between: str = ", ", unit: str = "") -> str:
     """The first three texts, their unit, and how many more there are (of `what`)."""
     more = len(texts) - 3
     return between.join(texts[:3]) + unit + f"{';' * (';' in between)} and {more}{what} more" * (more > 0)
 
 
-def quantity(value: float, std: float | None, unit: str, signed: bool = False) -> str:
+def quantity_text(value: float, std: float | None, unit: str, signed: bool = False) -> str:
     """A value ± its standard deviation (None: unknown) with its unit: angles in rad and degrees, lengths in mm."""
     if unit == "m":
         value, std, unit = 1e3 * value, None if std is None else 1e3 * std, "mm"

@@ -31,9 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if hasattr(sys.stdout, "reconfigure"):
             sys.stdout.reconfigure(errors="backslashreplace")  # a log may name what this terminal cannot write
         gc.set_threshold(_RARELY)
-        code = run(arguments)
+        code = run_command(arguments)
         if sigbus.zeroed_pages() and code in (0, 3, 4):
-            code = _unread()
+            code = _report_unreadable_result()
     except BaseException as problem:
         if not (signalled and signalled()):
             if not isinstance(problem, KeyboardInterrupt):
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # an interrupted library may crash while Python finalises
         with suppress(OSError, ValueError):
             sys.stdout.flush()
-        signals.end(signalled(), quiet=False)
+        signals.end_process(signalled(), quiet=False)
     gc.freeze()  # what is left is looked through once more on the way out, for nothing
     sys.exit(code)
 
@@ -60,7 +60,7 @@ def _raise_on_signals() -> None:
     signals.raise_on_signal(*(number for number, default in plain.items() if signal.getsignal(number) is default))
 
 
-def _unread() -> int:
+def _report_unreadable_result() -> int:
     """Print that the result is unusable."""
     from bodylog.errors import LogError
 
@@ -70,7 +70,7 @@ def _unread() -> int:
     return LogError.exit_code
 
 
-def run(arguments: Sequence[str] | None = None) -> int:
+def run_command(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     import click
 
@@ -78,7 +78,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     from bodylog.io.atomic_files import FULL
 
     from .commands import NoReader, bodylog
-    from .output import line, print_error
+    from .output import print_line, print_error
 
     try:
         code = bodylog.main(arguments, prog_name="bodylog", standalone_mode=False)
@@ -89,10 +89,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except click.ClickException as err:
         context = getattr(err, "ctx", None)
         path = context.command_path if context else "bodylog"
-        line(f"bodylog: {' '.join(err.format_message().split()).rstrip('.')}; type: {path} --help", err=True)
+        print_line(f"bodylog: {' '.join(err.format_message().split()).rstrip('.')}; type: {path} --help", err=True)
         return err.exit_code
     except (click.Abort, KeyboardInterrupt):
-        line("bodylog: interrupted; nothing half-written was left", err=True)
+        print_line("bodylog: interrupted; nothing half-written was left", err=True)
         return 130
     except MemoryError as err:
         print_error(MemoryError(f"there is not enough memory ({err}); give a lower --rate or a shorter log"))

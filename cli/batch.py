@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from . import options
-from .setting_options import clock_option, delay_option, estimation, estimation_options
+from .setting_options import clock_option, delay_option, estimation_as_typed, estimation_options
 
 if TYPE_CHECKING:
     from bodylog.batch import Group
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @click.option("--shard", metavar="I/N", default="1/1", show_default=True, help="Every N-th log, from the I-th.")
 @click.option("--resume", is_flag=True, help="Skip what an earlier run did with the same input, settings and version.")
 @click.option("--keep-going", is_flag=True, help="Go on to further logs even after a bug of ours.")
-@options.episodic("logs")
+@options.episode_option("logs")
 @options.fail_option
 @estimation_options
 @clock_option
@@ -40,71 +40,71 @@ def batch(
 
     A single batch.toml instead of logs names groups of them, each with its own body, methods and bounds.
     """
-    from bodylog.batch import Plan, exit_code
-    from bodylog.batch import batch as run
+    from bodylog.batch import BatchPlan, exit_code
+    from bodylog.batch import run_batch as run
 
-    from .output import print_json, verbosity
+    from .output import print_json, read_verbosity
 
     how = {key: typed.pop(key) for key in ("out", "workers", "scheduler", "resume", "keep_going")}
     what = {key: typed.pop(key) for key in ("body", "train", "bounds")}
-    groups = _groups(logs, common.settings(estimate=estimation(typed)), what)
+    groups = _groups_to_run(logs, common.settings(estimate=estimation_as_typed(typed)), what)
     read = tuple(path for path in (*map(Path, logs), common.config_file) if path is not None and path.is_file())
-    plan = Plan(groups=groups, shard=shard_of(shard), memory=_bytes(memory), inputs=read, **how)
+    plan = BatchPlan(groups=groups, shard=parse_shard(shard), memory=_parse_bytes(memory), inputs=read, **how)
     rows = run(plan, print_row)
     if as_json:
-        print_json([_entry(row, plan.out) for row in rows])
-    elif verbosity() >= 0:
-        _summary(rows, plan.out)
+        print_json([_batch_entry(row, plan.out) for row in rows])
+    elif read_verbosity() >= 0:
+        _print_summary(rows, plan.out)
     return exit_code(rows)
 
 
-def _groups(logs: tuple[str, ...], settings: "Settings", what: dict[str, Any]) -> "tuple[Group, ...]":
+def _groups_to_run(logs: tuple[str, ...], settings: "Settings", what: dict[str, Any]) -> "tuple[Group, ...]":
     from bodylog.batch import Group, manifest
 
     if not any(log.endswith(".toml") for log in logs):
         return (Group("", logs, settings, **what),)
     if len(logs) > 1 or any(what.values()):
         raise click.UsageError("a batch.toml stands alone: it names the logs, bodies and bounds itself")
-    return manifest.load(Path(logs[0]), settings)
+    return manifest.load_manifest(Path(logs[0]), settings)
 
 
 def print_row(row: dict[str, Any], done: int, total: int) -> None:
     """Print a finished row on standard error."""
-    from .output import line, verbosity
+    from .output import print_line, read_verbosity
 
-    if verbosity() >= 0:
-        line(f"[{done}/{total}] {row['name']}: {row['status']}{_why(row)}", err=True)
+    if read_verbosity() >= 0:
+        print_line(f"[{done}/{total}] {row['name']}: {row['status']}{_row_error_text(row)}", err=True)
 
 
-def _why(row: dict[str, Any]) -> str:
+def _row_error_text(row: dict[str, Any]) -> str:
     return f": {row['error'].strip().splitlines()[-1]}" if row["error"] else ""
 
 
-def _summary(rows: list[dict[str, Any]], out: Path) -> None:
+def _print_summary(rows: list[dict[str, Any]], out: Path) -> None:
     """The verdict on all logs, then a row for each: exit code, error (rad), name, status."""
-    from bodylog.verdict import of_batch
+    from bodylog.verdict import verdict_of_batch
 
-    from .output import line
+    from .output import print_line
 
-    for text in of_batch(rows):
-        line(text)
+    for text in verdict_of_batch(rows):
+        print_line(text)
     for row in rows:
         found = row["scores"].get("rmse/joint")
         error = "-" if found is None else f"{found:.4g} rad"
-        line(f"{row['exit_code']:>3}  {error:>12}  {row['name']}  {row['status']}{_why(row)}")
-    line(f"wrote {out / 'summary.html'}", err=True)
+        print_line(f"{row['exit_code']:>3}  {error:>12}  {row['name']}  {row['status']}{_row_error_text(row)}")
+    print_line(f"wrote {out / 'summary.html'}", err=True)
 
 
-def _entry(row: dict[str, Any], out: Path) -> dict[str, Any]:
+def _batch_entry(row: dict[str, Any], out: Path) -> dict[str, Any]:
     """A row as one of the envelope's results; its name, status, exit code and error stand beside."""
-    from bodylog.score_names import unit
+    from bodylog.score_names import score_unit
 
     log = out / row["name"] / "annotated.mcap"
     return {
         "input": row["log"],
         "output": str(log) if log.name in row["outputs"] else None,
         "verdict": row["verdict"],
-        "scores": {name: {"value": value, "unit": unit(name)} for name, value in row["scores"].items()},
+        "scores": {name: {"value": value, "unit": score_unit(name)} for name, value in row["scores"].items()},
         "health": row["health"],
         "findings": [{"severity": severity, "text": text} for severity, text in row["findings"]],
         "faults": row["faults"],
@@ -113,7 +113,7 @@ def _entry(row: dict[str, Any], out: Path) -> dict[str, Any]:
     }
 
 
-def shard_of(text: str) -> tuple[int, int]:
+def parse_shard(text: str) -> tuple[int, int]:
     """The shard that I/N names."""
     found = re.fullmatch(r"(\d+)/(\d+)", text)
     if not found:
@@ -121,7 +121,7 @@ def shard_of(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def _bytes(text: str | None) -> int | None:
+def _parse_bytes(text: str | None) -> int | None:
     if text is None:
         return None
     found = re.fullmatch(r"(\d+(?:\.\d+)?)([KMGT]?)B?", text.upper())

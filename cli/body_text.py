@@ -4,19 +4,19 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from .output import line
+from .output import print_line
 
 
 def show_body(found: dict[str, Any]) -> None:
     """Print a body model: samples and length scales, noise with standard errors, touch, provenance."""
-    line(f"{found['path']}: body model of {', '.join(found['joints'])}")
+    print_line(f"{found['path']}: body model of {', '.join(found['joints'])}")
     for name, sense in found["senses"].items():
-        line(f"  {name} ({', '.join(sense['outputs'])}): {_learned(sense)}")
-    for text in (*_zeros(found), *_noise(found), *_touch(found), *_provenance(found["provenance"])):
-        line(f"  {text}")
+        print_line(f"  {name} ({', '.join(sense['outputs'])}): {_sense_text(sense)}")
+    for text in (*_zero_lines(found), *_noise_lines(found), *_touch_lines(found), *_provenance_lines(found["provenance"])):
+        print_line(f"  {text}")
 
 
-def _learned(sense: dict[str, Any]) -> str:
+def _sense_text(sense: dict[str, Any]) -> str:
     if "coefficients" in sense:
         return "; ".join(" + ".join(f"{c:.4g} x^{k}" for k, c in enumerate(row)) for row in sense["coefficients"])
     kernels = (", ".join(f"{joint} {value:.4g}" for joint, value in one.items()) for one in sense["length_scales"])
@@ -25,7 +25,7 @@ def _learned(sense: dict[str, Any]) -> str:
     return f"{on}{sense['samples']} samples, length scales {'; '.join(kernels)} rad"
 
 
-def _zeros(found: dict[str, Any]) -> Iterator[str]:
+def _zero_lines(found: dict[str, Any]) -> Iterator[str]:
     """The joints' zeros in degrees and rad, their scales in percent, or the joints they are confused with."""
     offsets, scales = found.get("offsets", {}), found.get("scales", {})
     named = [*((f"offset {k}", one) for k, one in offsets.items()), *((f"scale {k}", s) for k, s in scales.items())]
@@ -42,43 +42,43 @@ def _zeros(found: dict[str, Any]) -> Iterator[str]:
         yield f"{name}: {value:+.2f}{unit} ± {std:.2f}{unit} ({plain})"
 
 
-def _noise(found: dict[str, Any]) -> Iterator[str]:
+def _noise_lines(found: dict[str, Any]) -> Iterator[str]:
     """Standard deviations of measurements and densities of process noise, each with its standard error."""
     noise, errors = found["noise"], found["noise"]["std_error"]
-    for joint, value, off in _beside(found["joints"], noise["encoder"], errors.get("encoder")):
-        yield f"noise encoders {joint}: {_root(value, off)} rad"
+    for joint, value, off in _names_with_errors(found["joints"], noise["encoder"], errors.get("encoder")):
+        yield f"noise encoders {joint}: {_std_text(value, off)} rad"
     for name, sense in found["senses"].items():
-        for output, value, off in _beside(sense["outputs"], noise["senses"].get(name, ()), errors.get(name)):
-            yield f"noise {name} {output}: {_root(value, off)} {sense['unit']}"
-    for joint, value, off in _beside(found["joints"], noise["process"], errors.get("process")):
-        yield f"process {joint}: {value:.4g}{_off(off)} rad²/s³"
+        for output, value, off in _names_with_errors(sense["outputs"], noise["senses"].get(name, ()), errors.get(name)):
+            yield f"noise {name} {output}: {_std_text(value, off)} {sense['unit']}"
+    for joint, value, off in _names_with_errors(found["joints"], noise["process"], errors.get("process")):
+        yield f"process {joint}: {value:.4g}{_relative_error_text(off)} rad²/s³"
 
 
-def _beside(
+def _names_with_errors(
     names: Sequence[str], values: Sequence[float], errors: Sequence[float] | None
 ) -> Iterator[tuple[str, float, float | None]]:
     known = errors if errors is not None and len(errors) == len(values) else [None] * len(values)
     return zip(names, values, known, strict=False)
 
 
-def _root(variance: float, off: float | None) -> str:
+def _std_text(variance: float, off: float | None) -> str:
     """A standard deviation with its standard error."""
     std = variance**0.5
-    return f"{std:.4g}{_off(None if off is None else off / (2.0 * std))}"
+    return f"{std:.4g}{_relative_error_text(None if off is None else off / (2.0 * std))}"
 
 
-def _off(error: float | None) -> str:
+def _relative_error_text(error: float | None) -> str:
     return "" if error is None else f" ± {error:.2g}"
 
 
-def _touch(found: dict[str, Any]) -> Iterator[str]:
+def _touch_lines(found: dict[str, Any]) -> Iterator[str]:
     units = {"b1": " /px²", "b2": " /s²"}
     yield "touch: " + ", ".join(f"{name} = {value:.4g}{units.get(name, '')}" for name, value in found["touch"].items())
     for cell, (u, v, spread) in found["cells"].items():
         yield f"cell {cell}: seen {u:+.1f}, {v:+.1f} px from the effector, spread {spread:.1f} px"
 
 
-def _provenance(values: dict[str, Any]) -> Iterator[str]:
+def _provenance_lines(values: dict[str, Any]) -> Iterator[str]:
     """The provenance of a body, without its settings: --json has these."""
     for key, value in sorted(values.items()):
         for item in () if key == "settings" else value if isinstance(value, list) else [value]:

@@ -35,21 +35,21 @@ def calibration(
     from bodylog import calibration, next_postures
     from bodylog.pipeline import Result
 
-    from .output import entry, line, print_json, warn
+    from .output import result_entry, print_line, print_json, print_findings
 
-    found = calibration.load(body)
-    values = calibration.table(found)
-    proposal = None if count is None else next_postures.proposed(body, count, urdf, among)
+    found = calibration.load_calibration(body)
+    values = calibration.calibration_as_values(found)
+    proposal = None if count is None else next_postures.propose_next_postures(body, count, urdf, among)
     written = calibration.write_lenses(body, found, camera_info) if camera_info is not None else ()
     if out is not None:
-        calibration.write(found, out, urdf, values)
+        calibration.write_calibration(found, out, urdf, values)
     if as_json:
-        further = {} if proposal is None else {"next": next_postures.table(proposal)}
-        print_json([entry(Result(out, findings=found.findings), body) | {"calibration": values} | further])
+        further = {} if proposal is None else {"next": next_postures.postures_as_values(proposal)}
+        print_json([result_entry(Result(out, findings=found.findings), body) | {"calibration": values} | further])
         return 0
-    for text in calibration.lines(found) if proposal is None else next_postures.lines(proposal):
-        line(text)
-    warn(found.findings)
+    for text in calibration.calibration_lines(found) if proposal is None else next_postures.posture_lines(proposal):
+        print_line(text)
+    print_findings(found.findings)
     _report_written(out, *written, scales=bool(found.scales))
     return 0
 
@@ -65,31 +65,31 @@ def offsets(body: Path, out: Path | None, urdf: Path | None, as_json: bool) -> i
     The joints of `bodylog calibration`; scales are printed where they were unknown.
     """
     from bodylog import calibration
-    from bodylog.body.kinematic.offsets import tables
+    from bodylog.body.kinematic.offsets import offset_tables
     from bodylog.pipeline import Result
 
-    from .output import entry, line, print_json
+    from .output import result_entry, print_line, print_json
 
-    found = calibration.load(body)
-    values = tables(found.zeros, found.scales)
+    found = calibration.load_calibration(body)
+    values = offset_tables(found.zeros, found.scales)
     if out is not None:
-        calibration.write(calibration.without_cameras(found), out, urdf, values)
+        calibration.write_calibration(calibration.without_cameras(found), out, urdf, values)
     if as_json:
-        print_json([entry(Result(out), body) | values])
+        print_json([result_entry(Result(out), body) | values])
         return 0
     for text in calibration.zero_lines((*found.zeros, *found.scales)):
-        line(text)
+        print_line(text)
     _report_written(out, scales=bool(found.scales))
     return 0
 
 
 def _report_written(*paths: Path | None, scales: bool) -> None:
     """Print the files written, and what a URDF of them cannot hold."""
-    from .output import line
+    from .output import print_line
 
     for path in paths:
         if path is None:
             continue
-        line(f"wrote {path}", err=True)
+        print_line(f"wrote {path}", err=True)
         if path.suffix == ".urdf" and scales:
-            line("a URDF has no place for joints' scales: it holds the zeros alone", err=True)
+            print_line("a URDF has no place for joints' scales: it holds the zeros alone", err=True)

@@ -10,7 +10,7 @@ import click
 from bodylog import __version__
 
 from .output import VERBOSITY
-from .places import guarded
+from .places import guard_command
 
 GROUPS: Mapping[str, Mapping[str, str]] = {
     "Record": {"record": "record", "simulate": "record", "ingest": "ingest", "convert": "convert"},
@@ -33,7 +33,7 @@ class ByName(Mapping[str, click.Command]):
 
     def __getitem__(self, name: str) -> click.Command:
         """The command; KeyError for an unknown name."""
-        return _command(_MODULES[name], name)
+        return _load_command(_MODULES[name], name)
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names in the order of work."""
@@ -45,15 +45,15 @@ class ByName(Mapping[str, click.Command]):
 
 
 @cache
-def _command(module: str, name: str) -> click.Command:
+def _load_command(module: str, name: str) -> click.Command:
     """A command with -q and -v; it starts once its outputs are known to differ from its inputs."""
     command: click.Command = getattr(import_module(f".{module}", __package__), name)
     command.params += [
-        _verbosity("-q", "--quiet", -1, "Print errors alone."),
-        _verbosity("-v", "--verbose", 1, "Print all remarks."),
+        _verbosity_option("-q", "--quiet", -1, "Print errors alone."),
+        _verbosity_option("-v", "--verbose", 1, "Print all remarks."),
     ]
     if command.callback is not None:
-        command.callback = guarded(command.callback)
+        command.callback = guard_command(command.callback)
     return command
 
 
@@ -88,7 +88,7 @@ class Commands(click.Group):
             raise NoReader from err
 
 
-def _verbosity(short: str, long: str, level: int, help_: str) -> click.Option:
+def _verbosity_option(short: str, long: str, level: int, help_: str) -> click.Option:
     """An option that sets how much a command prints."""
 
     def keep(context: click.Context, _option: click.Parameter, given: bool) -> None:

@@ -11,7 +11,7 @@ from .setting_options import clock_option, delay_option
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bodylog.compare import Row
+    from bodylog.compare import ComparisonRow
 
 COLUMNS = ("rmse/joint", "nees/joint", "coverage_2sigma/joint", "log_evidence", "log_density/held_out")
 WIDTH = max(map(len, COLUMNS))
@@ -34,31 +34,31 @@ def compare(log: Path, body: Path, full: bool, common: options.Common, as_json: 
     from bodylog import compare as comparison
     from bodylog.pipeline import Result
 
-    from .output import entry, lost, print_json, progress, warn
+    from .output import result_entry, exit_code_of_findings, print_json, show_progress, print_findings
 
     chosen = common.settings()
-    with progress("compare", [log], chosen) as tick:
-        rows, findings = comparison.compare(log, body, chosen, tick, None if as_json else _line(), full)
-    warn(findings)
+    with show_progress("compare", [log], chosen) as tick:
+        rows, findings = comparison.compare_methods(log, body, chosen, tick, None if as_json else _row_printer(), full)
+    print_findings(findings)
     if as_json:
-        print_json([entry(Result(None, findings=findings), log) | {"rows": [_plain(row) for row in rows]}])
-    return lost(findings)
+        print_json([result_entry(Result(None, findings=findings), log) | {"rows": [_comparison_as_json(row) for row in rows]}])
+    return exit_code_of_findings(findings)
 
 
-def _plain(row: "Row") -> dict[str, Any]:
+def _comparison_as_json(row: "ComparisonRow") -> dict[str, Any]:
     from .output import scores_by_name
 
     scores = scores_by_name(row.scores)
     return {"method": row.method, "senses": row.senses, "seconds": row.seconds, "scores": scores}
 
 
-def _line() -> "Callable[[Row], None]":
+def _row_printer() -> "Callable[[ComparisonRow], None]":
     """A function that prints a row, and the names and units of the columns before the first one."""
-    from bodylog.score_names import unit
+    from bodylog.score_names import score_unit
 
-    heads = [("", "", *map(unit, COLUMNS), "s"), ("method", "senses", *COLUMNS, "seconds")]
+    heads = [("", "", *map(score_unit, COLUMNS), "s"), ("method", "senses", *COLUMNS, "seconds")]
 
-    def line(row: "Row") -> None:
+    def line(row: "ComparisonRow") -> None:
         scores = {score.name: score.value for score in row.scores}
         cells = " ".join(f"{scores[name]:>{WIDTH}.5g}" if name in scores else f"{'-':>{WIDTH}}" for name in COLUMNS)
         while heads:

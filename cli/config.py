@@ -12,14 +12,14 @@ from .options import PATH
 @click.option("--json", "as_json", is_flag=True, help="Print them as JSON.")
 def config(config_file: Path | None, as_json: bool) -> None:
     """Print every setting as a robot.toml."""
-    from bodylog.config import load, toml
+    from bodylog.config import load_settings, settings_as_toml
     from bodylog.pipeline import Result
-    from bodylog.settings import plain
+    from bodylog.settings import settings_as_values
 
-    from .output import entry, print_json
+    from .output import result_entry, print_json
 
-    chosen = load(config_file)
+    chosen = load_settings(config_file)
     if as_json:
-        print_json([entry(Result(None, settings=plain(chosen)), config_file)])
+        print_json([result_entry(Result(None, settings=settings_as_values(chosen)), config_file)])
     else:
-        click.echo(toml(chosen), nl=False)
+        click.echo(settings_as_toml(chosen), nl=False)

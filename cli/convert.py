@@ -7,19 +7,19 @@ import click
 
 from bodylog import choices
 
-from .options import Common, OutputLog, common_options, finite, logs_argument
-from .setting_options import Choice, listed
+from .options import Common, OutputLog, common_options, require_finite_option, logs_argument
+from .setting_options import NearestChoice, split_list
 
 
 @click.command(epilog="Example: bodylog convert run.bag -o dataset --to lerobot --task 'fold the cloth'")
 @logs_argument
 @click.option("-o", "--output", "out", type=OutputLog(), required=True, help="The MCAP, or the dataset's new folder.")
-@click.option("--to", "form", type=Choice(choices.FORMATS), default="mcap", show_default=True, help="Format.")
-@click.option("--codec", "how", type=Choice(choices.VIDEO_CODECS), default="lossless", show_default=True)
+@click.option("--to", "form", type=NearestChoice(choices.FORMATS), default="mcap", show_default=True, help="Format.")
+@click.option("--codec", "how", type=NearestChoice(choices.VIDEO_CODECS), default="lossless", show_default=True)
 @click.option("--task", metavar="TEXT", help="What the robot does, for a dataset.")
 @click.option("--topics", metavar="TOPICS", help="Only these, with commas between; for an MCAP.")
-@click.option("--start", type=float, callback=finite, metavar="S", help="Leave out what came before (s since start).")
-@click.option("--end", type=float, callback=finite, metavar="S", help="Leave out what came after.")
+@click.option("--start", type=float, callback=require_finite_option, metavar="S", help="Leave out what came before (s since start).")
+@click.option("--end", type=float, callback=require_finite_option, metavar="S", help="Leave out what came after.")
 @common_options
 def convert(
     logs: tuple[Path, ...],
@@ -39,12 +39,12 @@ def convert(
     """
     from bodylog import info, pipeline
 
-    from .output import progress, show
+    from .output import show_progress, print_result
 
     settings, window = common.settings(), {"start": start, "end": end}
     whole = start is None and end is None
     images = partial(info.dataset_images, settings=settings) if whole else lambda _: 0
     unit, count = ("messages", None) if form == "mcap" else ("images", images)
-    with progress("convert", logs, settings, unit, count) as tick:
-        result = pipeline.convert(logs, out, settings, form, how, listed(topics), task, tick, **window)
-    return show(result, logs, as_json)
+    with show_progress("convert", logs, settings, unit, count) as tick:
+        result = pipeline.convert(logs, out, settings, form, how, split_list(topics), task, tick, **window)
+    return print_result(result, logs, as_json)

@@ -8,17 +8,17 @@ import click
 
 from . import options
 from .options import OUT, PATH, Common, common_options, logs_argument
-from .setting_options import delay_option, setting
+from .setting_options import delay_option, setting_option
 
 if TYPE_CHECKING:
-    from bodylog.batch.dataset import Examined
+    from bodylog.batch.dataset import ExaminedDataset
     from bodylog.batch.jobs import Row
 
 _URDF = "Calibrate cameras, delays and joint zeros by the robot's own surface, without a marker."
 _OUT = "Of a dataset: a page (.html), or a folder for the page, rows and junit.xml."
 
 
-def _episode_range(
+def _parse_episode_range(
     _context: click.Context, _option: click.Parameter, text: str | None
 ) -> tuple[int | None, int | None] | None:
     """First and the one after the last, as in Python's slices."""
@@ -40,7 +40,7 @@ def _episode_range(
     type=PATH,
     help="Measure camera delays by this body; default: by one learned from the log.",
 )
-@setting("kinematics", "urdf", metavar="ROBOT.urdf|log", help=_URDF)
+@setting_option("kinematics", "urdf", metavar="ROBOT.urdf|log", help=_URDF)
 @click.option("-o", "--output", "out", type=options.PageOrFolder(), metavar="OUT", help=_OUT)
 @click.option(
     "--csv",
@@ -50,7 +50,7 @@ def _episode_range(
     help="Of a dataset: a row per episode, .csv or .parquet.",
 )
 @click.option(
-    "--episodes", callback=_episode_range, metavar="A:B", help="Of a dataset: from A to before B."
+    "--episodes", callback=_parse_episode_range, metavar="A:B", help="Of a dataset: from A to before B."
 )
 @click.option(
     "--jobs",
@@ -87,16 +87,16 @@ def doctor(
     LOG may be a dataset, or a folder of logs: then each episode is examined and compared with the
     others.
     """
-    from bodylog.batch.dataset import is_dataset
+    from bodylog.batch.dataset import holds_several_logs
 
     settings = common.settings(kinematics={"urdf": urdf})
-    if repair is None and body is None and any(map(is_dataset, logs)):
+    if repair is None and body is None and any(map(holds_several_logs, logs)):
         return _examine_dataset(logs, settings, common, as_json, typed)
-    _refuse_of_one_log(typed)
+    _refuse_dataset_options(typed)
     return _examine_logs(logs, repair, body, settings, as_json)
 
 
-def _refuse_of_one_log(typed: dict[str, Any]) -> None:
+def _refuse_dataset_options(typed: dict[str, Any]) -> None:
     """UsageError for an option that a single log does not have."""
     given = {
         "-o": typed["out"], "--csv": typed["table"], "--episodes": typed["episodes"],
@@ -116,32 +116,32 @@ def _examine_logs(
 ) -> int:
     from bodylog import pipeline
 
-    from .output import each, entry, line, lost, print_json, progress
+    from .output import collect_results, result_entry, print_line, exit_code_of_findings, print_json, show_progress
 
     if repair is not None and len(logs) != 1:
         raise click.UsageError("--repair takes exactly one LOG")
-    with progress("doctor", logs, settings, "messages") as tick:
-        results, code = each(logs, lambda log: pipeline.doctor(log, repair, settings, tick, body))
+    with show_progress("doctor", logs, settings, "messages") as tick:
+        results, code = collect_results(logs, lambda log: pipeline.diagnose_log(log, repair, settings, tick, body))
     if as_json:
-        print_json([entry(result, path) for path, result in results.items()])
+        print_json([result_entry(result, path) for path, result in results.items()])
     else:
         for path, result in results.items():
             count = sum(finding.severity != "info" for finding in result.findings)
-            said = "1 finding" if count == 1 else f"{count} findings"
-            line(f"{path}: {said if count else 'sound'}")
+            finding_count = "1 finding" if count == 1 else f"{count} findings"
+            print_line(f"{path}: {finding_count if count else 'sound'}")
             for finding in result.findings:
-                line(f"  {finding.severity}: {finding.text}")
-    return code or max(lost(result.findings) for result in results.values())
+                print_line(f"  {finding.severity}: {finding.text}")
+    return code or max(exit_code_of_findings(result.findings) for result in results.values())
 
 
 def _examine_dataset(
     logs: tuple[Path, ...], settings: Any, common: Common, as_json: bool, typed: dict[str, Any]
 ) -> int:
-    from bodylog.batch import Group, Plan, dataset
+    from bodylog.batch import Group, BatchPlan, dataset
     from bodylog.batch.jobs import EXAMINE
 
-    from .batch import print_row, shard_of
-    from .output import print_json, verbosity
+    from .batch import print_row, parse_shard
+    from .output import print_json, read_verbosity
 
     out: Path | None = typed["out"]
     folder = out is not None and not options.PageOrFolder.is_page(out)
@@ -153,53 +153,53 @@ def _examine_dataset(
     chosen = dataset.chosen_episodes(logs, begin, end)
     group = Group("", chosen, settings, bounds=typed["bounds"], task=EXAMINE)
     read = () if common.config_file is None else (common.config_file,)
-    plan = Plan(
+    plan = BatchPlan(
         groups=(group,),
         out=out if folder and out is not None else Path(),
         workers=typed["workers"],
-        shard=shard_of(typed["shard"]),
+        shard=parse_shard(typed["shard"]),
         resume=typed["resume"],
         keep_going=True,
         scheduler=typed["scheduler"],
         inputs=read,
     )
-    run = dataset.examine if folder else dataset.examine_without_folder
+    run = dataset.examine_dataset if folder else dataset.examine_without_folder
     found = run(plan, print_row, None if folder else out, typed["table"])
     if as_json:
-        print_json([*map(_entry, found.rows), _entry(found.whole, " ".join(map(str, logs)))])
-    elif verbosity() >= 0:
+        print_json([*map(_doctor_entry, found.rows), _doctor_entry(found.whole, " ".join(map(str, logs)))])
+    elif read_verbosity() >= 0:
         _print_verdict(found)
     return found.code
 
 
-def _print_verdict(found: "Examined") -> None:
+def _print_verdict(found: "ExaminedDataset") -> None:
     """The verdict, the episodes that stand out, then what each episode says of itself."""
-    from .output import line, verbosity
+    from .output import print_line, read_verbosity
 
     for text in found.whole["verdict"]:
-        line(text)
+        print_line(text)
     for one in found.whole["outliers"]:
-        line(f"  {one['episode']}: {one['text']}")
+        print_line(f"  {one['episode']}: {one['text']}")
     if found.whole["error"]:
-        line(f"bodylog: {found.whole['error']}", err=True)
+        print_line(f"bodylog: {found.whole['error']}", err=True)
     odd = {one["text"] for one in found.whole["outliers"]}
     for row in found.rows:
         texts = [
             text for severity, text in row["findings"] if severity != "info" and text not in odd
         ]
         why = f": {row['error'].strip().splitlines()[-1]}" if row["error"] else ""
-        line(f"{row['exit_code']:>3}  {row['name']}  {row['status']}{why}")
-        for text in texts if verbosity() > 0 else ():
-            line(f"       {text}")
+        print_line(f"{row['exit_code']:>3}  {row['name']}  {row['status']}{why}")
+        for text in texts if read_verbosity() > 0 else ():
+            print_line(f"       {text}")
 
 
-def _entry(row: "Row", source: str | None = None) -> dict[str, Any]:
+def _doctor_entry(row: "Row", source: str | None = None) -> dict[str, Any]:
     """A row as one of the envelope's results; its name, status, exit code and error stand
     beside."""
-    from bodylog.score_names import unit
+    from bodylog.score_names import score_unit
 
     scores = {
-        name: {"value": value, "unit": unit(name)}
+        name: {"value": value, "unit": score_unit(name)}
         | ({"std": row["scores"][f"std/{name}"]} if f"std/{name}" in row["scores"] else {})
         for name, value in row["scores"].items()
     }

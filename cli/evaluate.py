@@ -42,53 +42,53 @@ def evaluate(
     from bodylog.evaluation import baseline as earlier
     from bodylog.evaluation import bounds as rules
 
-    from .output import each, entry, lost, print_error, print_json, warn
+    from .output import collect_results, result_entry, exit_code_of_findings, print_error, print_json, print_findings
 
-    wanted, share = [rules.parse(text) for text in bounds], earlier.tolerance(tolerance)
-    before = earlier.load(baseline) if baseline else None
+    wanted, share = [rules.parse_bound(text) for text in bounds], earlier.parse_tolerance(tolerance)
+    before = earlier.load_baseline(baseline) if baseline else None
     chosen = common.settings()
-    results, refused = each(logs, lambda log: pipeline.evaluate(log, chosen, truth))
+    results, refused = collect_results(logs, lambda log: pipeline.evaluate(log, chosen, truth))
     if as_json:
-        print_json([entry(result, path) for path, result in results.items()])
-        warn([finding for result in results.values() for finding in result.findings])
+        print_json([result_entry(result, path) for path, result in results.items()])
+        print_findings([finding for result in results.values() for finding in result.findings])
     else:
-        _print(results, full)
+        _print_scores(results, full)
     try:
-        rules.check({path: result.figures for path, result in results.items()}, wanted)
+        rules.check_bounds({path: result.figures for path, result in results.items()}, wanted)
         if before is not None:
-            earlier.check({_name(log): results[str(log)].scores for log in logs if str(log) in results}, before, share)
+            earlier.check_against_baseline({_log_name(log): results[str(log)].scores for log in logs if str(log) in results}, before, share)
     except BoundError as broken:
         if not refused:
             raise
         print_error(broken)
-    return refused or max(lost(result.findings) for result in results.values())
+    return refused or max(exit_code_of_findings(result.findings) for result in results.values())
 
 
-def _name(log: Path) -> str:
+def _log_name(log: Path) -> str:
     return log.parent.name if log.name == "annotated.mcap" else log.name
 
 
-def _print(results: "dict[str, Result]", full: bool) -> None:
+def _print_scores(results: "dict[str, Result]", full: bool) -> None:
     """The verdict of one log, or a row for each of several; with --all every score."""
-    from .output import columns, score_table, show_verdict, verbosity, warn
+    from .output import print_columns, print_score_table, print_verdict, read_verbosity, print_findings
 
     if len(results) == 1:
-        show_verdict(next(iter(results.values())))
-    elif verbosity() >= 0:
-        rows = [[path, *(_cell(result, name) for name in COLUMNS)] for path, result in results.items()]
-        columns([["log", *COLUMNS], ["", *map(_unit, COLUMNS)], *rows], left=1)
+        print_verdict(next(iter(results.values())))
+    elif read_verbosity() >= 0:
+        rows = [[path, *(_result_cell(result, name) for name in COLUMNS)] for path, result in results.items()]
+        print_columns([["log", *COLUMNS], ["", *map(_unit_of_column, COLUMNS)], *rows], left=1)
         for path, result in results.items():
-            warn(result.findings, f"{path}: ")
-    if full and verbosity() >= 0:
-        score_table({path: result.scores for path, result in results.items()})
+            print_findings(result.findings, f"{path}: ")
+    if full and read_verbosity() >= 0:
+        print_score_table({path: result.scores for path, result in results.items()})
 
 
-def _unit(name: str) -> str:
-    from bodylog.score_names import unit
+def _unit_of_column(name: str) -> str:
+    from bodylog.score_names import score_unit
 
-    return unit(name)
+    return score_unit(name)
 
 
-def _cell(result: "Result", name: str) -> str:
+def _result_cell(result: "Result", name: str) -> str:
     values = {score.name: score.value for score in (*result.scores, *result.figures)}
     return f"{values[name]:.4g}" if name in values else "-"

@@ -24,9 +24,9 @@ def extract(log: Path, out: Path, csv: Path | None, fast: bool | None, common: C
     """
     from bodylog import pipeline
 
-    from .output import progress, show
+    from .output import show_progress, print_result
 
     chosen = common.settings(colours={"fast": fast})
-    with progress("extract", [log], chosen) as tick:
+    with show_progress("extract", [log], chosen) as tick:
         result = pipeline.extract(log, out, chosen, tick, csv)
-    return show(result, log, as_json)
+    return print_result(result, log, as_json)

@@ -8,7 +8,7 @@ import click
 from .options import OUT, Common, common_options, log_argument
 
 if TYPE_CHECKING:
-    from bodylog.views import Offered
+    from bodylog.views import FeatureCandidates
 
 
 @click.command(epilog="Example: bodylog features run.bag -o sheet.png")
@@ -24,16 +24,16 @@ def features(log: Path, out: Path | None, effector: str | None, common: Common, 
     from bodylog import views
     from bodylog.pipeline import Result
 
-    from .output import entry, lost, print_json, warn
+    from .output import result_entry, exit_code_of_findings, print_json, print_findings
 
-    found = views.features(log, out, common.settings(), _place(effector))
-    warn(found.findings)
+    found = views.find_feature_candidates(log, out, common.settings(), _parse_place(effector))
+    print_findings(found.findings)
     if as_json:
-        one = entry(Result(out, findings=found.findings), log)
+        one = result_entry(Result(out, findings=found.findings), log)
         print_json([one | {"candidates": found.candidates, "images": found.images}])
     else:
-        _print(found)
-    return lost(found.findings)
+        _print_candidates(found)
+    return exit_code_of_findings(found.findings)
 
 
 colours = click.Command(
@@ -46,29 +46,29 @@ colours = click.Command(
 """The name that this command had when it proposed colours alone."""
 
 
-def _print(found: "Offered") -> None:
-    from .output import line
+def _print_candidates(found: "FeatureCandidates") -> None:
+    from .output import print_line
 
-    rows = [("", "seen", "moves by", "joints explain", ""), *(_row(one) for one in found.candidates)]
+    rows = [("", "seen", "moves by", "joints explain", ""), *(_candidate_row(one) for one in found.candidates)]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    line(f"# {found.images} images looked at; moves by: standard deviation of its place; -: not computed")
+    print_line(f"# {found.images} images looked at; moves by: standard deviation of its place; -: not computed")
     for name, *figures, verdict in rows:
         cells = "  ".join(f"{text:>{width}}" for text, width in zip(figures, widths[1:], strict=True))
-        line(f"{name:<{widths[0]}}  {cells}  {verdict}".rstrip())
-    line("# paste one of these lines under [features] in robot.toml")
+        print_line(f"{name:<{widths[0]}}  {cells}  {verdict}".rstrip())
+    print_line("# paste one of these lines under [features] in robot.toml")
     for one in found.candidates:
         mark = ", the arm's" if one["arm"] else ""
-        line(f"{one['line']}  # {one['name']}{mark}")
+        print_line(f"{one['line']}  # {one['name']}{mark}")
 
 
-def _row(one: dict[str, Any]) -> tuple[str, ...]:
+def _candidate_row(one: dict[str, Any]) -> tuple[str, ...]:
     also = one["why_not"] or "also moves as the joints do"
     explained = "-" if one["explained"] is None else f"{one['explained']:.0%}"
     figures = f"{one['seen']:.0%}", f"{one['strays_px']:.0f} px", explained
     return one["name"], *figures, "the arm's" if one["arm"] else also
 
 
-def _place(text: str | None) -> tuple[float, float] | None:
+def _parse_place(text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
     try:

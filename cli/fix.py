@@ -9,7 +9,7 @@ from bodylog import choices
 
 from . import options
 from .options import Common, OutputLog, common_options
-from .setting_options import Choice, setting
+from .setting_options import NearestChoice, setting_option
 
 _REPEATS = "Frames that repeat: mark them in a feature, drop rows to the true rate, or keep."
 _EXCLUDE = "Leave out episodes that stand out and copies (accused), or damaged ones alone."
@@ -22,10 +22,10 @@ _URDF = "Measure delays by the robot's own surface."
     "-o", "--output", "out", type=OutputLog(), required=True, help="The dataset's new folder."
 )
 @click.option(
-    "--repeats", type=Choice(choices.REPEATS), default="mark", show_default=True, help=_REPEATS
+    "--repeats", type=NearestChoice(choices.REPEATS), default="mark", show_default=True, help=_REPEATS
 )
 @click.option(
-    "--exclude", type=Choice(choices.EXCLUDED), default="accused", show_default=True, help=_EXCLUDE
+    "--exclude", type=NearestChoice(choices.EXCLUDED), default="accused", show_default=True, help=_EXCLUDE
 )
 @click.option(
     "--checked", type=options.PATH, metavar="DIR", help="Rows of doctor -o DIR are used again."
@@ -38,7 +38,7 @@ _URDF = "Measure delays by the robot's own surface."
     show_default=True,
     help="Episodes at a time.",
 )
-@setting("kinematics", "urdf", metavar="ROBOT.urdf|log", help=_URDF)
+@setting_option("kinematics", "urdf", metavar="ROBOT.urdf|log", help=_URDF)
 @common_options
 def fix(
     dataset: Path, out: Path, repeats: str, exclude: str, checked: Path | None, workers: int,
@@ -53,7 +53,7 @@ def fix(
     from bodylog.batch import dataset as examined
 
     from .batch import print_row
-    from .output import line, print_json, verbosity
+    from .output import print_line, print_json, read_verbosity
 
     settings = common.settings(kinematics={"urdf": urdf})
     texts = examined.fix_dataset(
@@ -63,8 +63,8 @@ def fix(
         result = {"input": str(dataset), "output": str(out), "verdict": list(texts)}
         print_json([result])
         return 0
-    for text in texts if verbosity() >= 0 else ():
-        line(text)
-    if verbosity() >= 0:
-        line(f"wrote {out}", err=True)
+    for text in texts if read_verbosity() >= 0 else ():
+        print_line(text)
+    if read_verbosity() >= 0:
+        print_line(f"wrote {out}", err=True)
     return 0

@@ -18,6 +18,6 @@ def layout(log: Path, out: Path, common: Common, as_json: bool) -> int:
     """
     from bodylog import views
 
-    from .output import show
+    from .output import print_result
 
-    return show(views.layout(log, out, common.settings()), log, as_json)
+    return print_result(views.write_viewer_layout(log, out, common.settings()), log, as_json)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import click
 
-from .setting_options import setting
+from .setting_options import setting_option
 
 if TYPE_CHECKING:
     from bodylog.settings import Settings
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-class Named(click.Path):
+class NamedPath(click.Path):
     """A path that is not empty: "", as from an unset shell variable, would be the current folder."""
 
     def __init__(self) -> None:
@@ -32,11 +32,11 @@ class Named(click.Path):
         return Path(value)
 
 
-class Url(str):
+class FetchedUrl(str):
     """A URL whose file is fetched for the duration of the command, after the check that no output is an input."""
 
 
-class Log(Named):
+class LogPath(NamedPath):
     """A log: a path or a URL. Its file is fetched before the command starts, or by the command if `late`."""
 
     def __init__(self, late: bool = False) -> None:
@@ -50,10 +50,10 @@ class Log(Named):
 
         if not isinstance(value, str) or not remote.is_url(value):
             return super().convert(value, param, ctx)
-        return value if self._late else Url(value)
+        return value if self._late else FetchedUrl(value)
 
 
-class Searched(Named):
+class Searched(NamedPath):
     """A log, a pattern, a folder to search or a URL, as typed."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -62,7 +62,7 @@ class Searched(Named):
         return value
 
 
-class OutputFile(Named):
+class OutputFile(NamedPath):
     """A file to write."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -82,7 +82,7 @@ class OutputLog(OutputFile):
         return super().convert(text.rstrip(os.sep) or text, param, ctx)
 
 
-class Folder(Named):
+class Folder(NamedPath):
     """A folder to write into; an existing file in its place is rejected before anything is done."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -108,73 +108,73 @@ def _cannot_be_made(why: str) -> Exception:
     return OutputError(why)
 
 
-PATH = Named()
+PATH = NamedPath()
 """A file to read."""
 OUT = OutputFile()
 FOLDER = Folder()
-LOG = Log()
-ANYWHERE = Log(late=True)
+LOG = LogPath()
+ANYWHERE = LogPath(late=True)
 SEARCHED = Searched()
 
 
-def finite(_context: click.Context, _option: click.Parameter, value: float | None) -> float | None:
+def require_finite_option(_context: click.Context, _option: click.Parameter, value: float | None) -> float | None:
     """The number of an option, if it is finite."""
     if value is not None and not math.isfinite(value):
         raise click.BadParameter(f"{value} is not a finite number")
     return value
 
 
-def episodic(parameter: str) -> Callable[[Command], Command]:
+def episode_option(parameter: str) -> Callable[[Command], Command]:
     """--episode: the episodes to read of the datasets in an argument; a range becomes several logs."""
 
     def decorated(function: Command) -> Command:
         @functools.wraps(function)
         def wrapped(*, episode: str | None, **rest: Any) -> Any:
-            return function(**{**rest, parameter: _episodes(rest[parameter], episode)})
+            return function(**{**rest, parameter: _with_episodes(rest[parameter], episode)})
 
         help_ = "Read this episode of a dataset; LOG#N means the same."
-        return click.option("--episode", metavar="N", callback=_episode, help=help_)(wrapped)  # type: ignore[return-value]
+        return click.option("--episode", metavar="N", callback=_check_episode_option, help=help_)(wrapped)  # type: ignore[return-value]
 
     return decorated
 
 
-def _episode(_context: click.Context, _option: click.Parameter, text: str | None) -> str | None:
+def _check_episode_option(_context: click.Context, _option: click.Parameter, text: str | None) -> str | None:
     if text is not None and re.fullmatch(r"\d{1,9}(-\d{1,9})?", text) is None:
         raise click.BadParameter(f"{text!r}; possible: a number or a range, e.g. 3 or 0-9")
     return text
 
 
-def _episodes(given: Any, text: str | None) -> Any:
+def _with_episodes(given: Any, text: str | None) -> Any:
     """The given log or logs with the episode; where several logs are possible, a range becomes one log per episode."""
     from bodylog.io import episodes
 
     if isinstance(given, tuple):
-        return tuple(one for log in given for one in _several(log, text))
-    named = _named(given, text)
-    if isinstance(named, Path) and len(episodes.expanded(named)) > 1:
+        return tuple(one for log in given for one in _list_episode_paths(log, text))
+    named = _name_episode(given, text)
+    if isinstance(named, Path) and len(episodes.expand_episode_range(named)) > 1:
         raise click.BadParameter(f"{named}: this command takes one episode", param_hint="--episode")
     return named
 
 
-def _named(log: Any, text: str | None) -> Any:
+def _name_episode(log: Any, text: str | None) -> Any:
     return log if text is None else type(log)(f"{log}#{text}")
 
 
-def _several(log: Any, text: str | None) -> tuple[Any, ...]:
+def _list_episode_paths(log: Any, text: str | None) -> tuple[Any, ...]:
     from bodylog.io import episodes
 
-    named = _named(log, text)
-    return episodes.expanded(named) if isinstance(named, Path) else (named,)
+    named = _name_episode(log, text)
+    return episodes.expand_episode_range(named) if isinstance(named, Path) else (named,)
 
 
 def log_argument(function: Command) -> Command:
     """LOG: any log, .bag, rosbag2 folder, .db3, .mcap or dataset."""
-    return click.argument("log", type=LOG)(episodic("log")(function))
+    return click.argument("log", type=LOG)(episode_option("log")(function))
 
 
 def logs_argument(function: Command) -> Command:
     """LOG...: one or many logs."""
-    return click.argument("logs", metavar="LOG...", type=LOG, nargs=-1, required=True)(episodic("logs")(function))
+    return click.argument("logs", metavar="LOG...", type=LOG, nargs=-1, required=True)(episode_option("logs")(function))
 
 
 def out_option(what: str) -> Callable[[Command], Command]:
@@ -192,24 +192,24 @@ class Common(NamedTuple):
 
     def settings(self, **sections: dict[str, Any]) -> "Settings":
         """Settings from robot.toml and the typed options; None does not override."""
-        from bodylog.config import load
+        from bodylog.config import load_settings
 
-        offset = _seconds(self.clock_offset)
+        offset = _parse_seconds(self.clock_offset)
         given: dict[str, dict[str, Any]] = {"input": {"strict": self.strict or None}, **sections}
         given["synchrony"] = {"clock_offset": offset}
-        given["time"] = {"delay": _delays(self.delay)}
+        given["time"] = {"delay": _parse_delays(self.delay)}
         typed = {name: {k: v for k, v in values.items() if v is not None} for name, values in given.items()}
-        return load(self.config_file, {name: values for name, values in typed.items() if values})
+        return load_settings(self.config_file, {name: values for name, values in typed.items() if values})
 
 
-def _seconds(text: str | None) -> float | str | None:
+def _parse_seconds(text: str | None) -> float | str | None:
     try:
         return text if text in (None, "auto") else float(text)
     except ValueError:
         raise click.BadParameter(f"{text!r}; possible: auto, or seconds", param_hint="--clock-offset") from None
 
 
-def _delays(text: str | None) -> dict[str, float] | str | None:
+def _parse_delays(text: str | None) -> dict[str, float] | str | None:
     if text in (None, "auto", "off"):
         return text
     try:
@@ -230,7 +230,7 @@ def common_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
     for option in (
         click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output."),
-        setting("input", "strict", default=False),
+        setting_option("input", "strict", default=False),
         click.option("--config", "config_file", type=PATH, help="Settings for this robot: a robot.toml."),
     ):
         wrapped = option(wrapped)

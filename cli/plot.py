@@ -4,13 +4,13 @@ from pathlib import Path
 
 import click
 
-from .options import OUT, PATH, Common, common_options, episodic
+from .options import OUT, PATH, Common, common_options, episode_option
 from .setting_options import clock_option
 
 
 @click.command(epilog="Example: bodylog plot run.bag -o run.png")
 @click.argument("source", metavar="LOG|BODY.npz", type=PATH)
-@episodic("source")
+@episode_option("source")
 @click.option("-o", "--output", "out", type=OUT, required=True, help="The picture to write (.png or .svg).")
 @clock_option
 @common_options
@@ -21,9 +21,9 @@ def plot(source: Path, out: Path, common: Common, as_json: bool) -> int:
     """
     from bodylog import views
 
-    from .output import progress, show
+    from .output import show_progress, print_result
 
     chosen = common.settings()
-    with progress("plot", [source], chosen) as tick:
-        result = views.plot(source, out, chosen, tick)
-    return show(result, source, as_json)
+    with show_progress("plot", [source], chosen) as tick:
+        result = views.draw_log_or_body(source, out, chosen, tick)
+    return print_result(result, source, as_json)

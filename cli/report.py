@@ -17,9 +17,9 @@ def report(log: Path, out: Path, figures: Path | None, full: bool, common: Commo
     """Write an HTML page on an annotated log."""
     from bodylog import views
 
-    from .output import progress, show
+    from .output import show_progress, print_result
 
     steps = 3 if figures is None else 4
-    with progress("report", [log], unit="steps", count=lambda _: steps) as tick:
-        result = views.report(log, out, common.settings(), figures, tick)
-    return show(result, log, as_json, full)
+    with show_progress("report", [log], unit="steps", count=lambda _: steps) as tick:
+        result = views.write_report(log, out, common.settings(), figures, tick)
+    return print_result(result, log, as_json, full)

@@ -71,29 +71,29 @@ def reproduce(
     from dataclasses import asdict
 
     from bodylog.experiments import Reproduction
-    from bodylog.experiments import reproduce as run
+    from bodylog.experiments import run_reproduction as run
     from bodylog.pipeline import Result
 
-    from .output import entry, line, print_json
+    from .output import result_entry, print_line, print_json
 
-    wish = Reproduction(out, experiments, seeds, jobs, reading=_reading(constants), setting=_setting(swept), data=data)
-    claims = run(wish, _teller())
+    wish = Reproduction(out, experiments, seeds, jobs, reading=_parse_typed_reading(constants), setting=_rubber_hand_setting(swept), data=data)
+    claims = run(wish, _progress_printer())
     if as_json:
-        one = entry(Result(out / "index.html"), list(experiments))
+        one = result_entry(Result(out / "index.html"), list(experiments))
         print_json([one | {"claims": [asdict(claim) for claim in claims]}])
     else:
-        _table(claims)
-        line(f"wrote {out / 'index.html'}", err=True)
+        _print_claims_table(claims)
+        print_line(f"wrote {out / 'index.html'}", err=True)
 
 
-def _reading(constants: tuple[str, ...]) -> "Reading | None":
+def _parse_typed_reading(constants: tuple[str, ...]) -> "Reading | None":
     """The reading typed, if any."""
     from bodylog.experiments import readings
 
-    return readings.parsed(",".join(constants)) if constants else None
+    return readings.parse_reading(",".join(constants)) if constants else None
 
 
-def _setting(swept: dict[str, tuple[float, ...] | None]) -> "Setting":
+def _rubber_hand_setting(swept: dict[str, tuple[float, ...] | None]) -> "Setting":
     """The values that the rubber hand sweeps: typed ones or the defaults."""
     from dataclasses import replace
 
@@ -102,7 +102,7 @@ def _setting(swept: dict[str, tuple[float, ...] | None]) -> "Setting":
     return replace(Setting(), **{name: found for name, found in swept.items() if found is not None})
 
 
-def _teller() -> "Callable[[str, int, int], None]":
+def _progress_printer() -> "Callable[[str, int, int], None]":
     """A line for each run that is done, with the minutes since the first run started."""
     started = monotonic()
 
@@ -112,7 +112,7 @@ def _teller() -> "Callable[[str, int, int], None]":
     return tell
 
 
-def _table(claims: "tuple[Claim, ...]") -> None:
+def _print_claims_table(claims: "tuple[Claim, ...]") -> None:
     from bodylog.experiments.tables import KINDS
 
     for kind, title in KINDS.items():

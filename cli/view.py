@@ -18,8 +18,8 @@ def view(log: Path, out: Path | None, common: Common, as_json: bool) -> int:
     """
     from bodylog import views
 
-    from .output import progress, show
+    from .output import show_progress, print_result
 
-    with progress("view", [log], unit="steps", count=lambda _: 4) as tick:
-        result = views.view(log, out, common.settings(), tick)
-    return show(result, log, as_json)
+    with show_progress("view", [log], unit="steps", count=lambda _: 4) as tick:
+        result = views.show_in_rerun(log, out, common.settings(), tick)
+    return print_result(result, log, as_json)

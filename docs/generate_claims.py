@@ -13,7 +13,7 @@ from statistics import median
 from typing import Any
 
 from bodylog.experiments.baselines import ROWS
-from bodylog.experiments.judging import interval
+from bodylog.experiments.judging import median_interval
 from bodylog.experiments.readings import CONSTANTS
 
 DOCS = Path(__file__).parent
@@ -195,7 +195,7 @@ def baselines(found: Mapping[str, Sequence[float]]) -> str:
 
 
 def _spread(values: Sequence[float]) -> str:
-    low, high = interval(values)
+    low, high = median_interval(values)
     digits = ".3g" if abs(median(values)) >= 0.0005 else ".1g"
     return f"{median(values):{digits}} ({low:{digits}} to {high:{digits}})"
 

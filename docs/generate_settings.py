@@ -6,7 +6,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from bodylog.batch.manifest import GroupTable
-from bodylog.io.toml_keys import declared, default_text, possible
+from bodylog.io.toml_keys import declared_keys, default_text, describe_possible_values
 from bodylog.settings import Settings
 from bodylog.sources import SOURCES
 
@@ -86,7 +86,7 @@ def _about(table: type) -> str:
 
 def _rows(table: type) -> str:
     lines = [
-        _row(f"`{name}`", one.key.meaning, possible(one), default_text(one)) for name, one in declared(table).items()
+        _row(f"`{name}`", one.key.meaning, describe_possible_values(one), default_text(one)) for name, one in declared_keys(table).items()
     ]
     return _table(("key", "meaning", "values", "default"), lines)
 

@@ -23,7 +23,7 @@ def run_cli() -> Callable[..., int]:
 def _run(*arguments: object) -> int:
     if arguments[:1] == ("record",):
         pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
-    return bodylog_cli.run([str(argument) for argument in arguments])
+    return bodylog_cli.run_command([str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="session")

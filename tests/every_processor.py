@@ -95,8 +95,8 @@ def differs(name: str, found: dict[str, Outcome]) -> str:
     first, own = next(iter(found.values())), found[name]
     if np.abs(own.angles - first.angles).max() > MOST_APART_RAD:
         return f"WRONG: {compared(name, found)}"
-    alike = [other for label, other in found.items() if PROFILES[label].alike]
-    if PROFILES[name].alike and len({(other.body, other.estimate) for other in alike}) > 1:
+    same_rounding = [other for label, other in found.items() if PROFILES[label].alike]
+    if PROFILES[name].alike and len({(other.body, other.estimate) for other in same_rounding}) > 1:
         return f"WRONG, not the bytes of a profile that rounds alike: {compared(name, found)}"
     return ""
 

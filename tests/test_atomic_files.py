@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import OutputError, WriteError
-from bodylog.io.atomic_files import ensure_dir, replacing, sha256, text
-from bodylog.io.temporary import FOREIGN_S, PART, machine, remove_stale, scratch, try_lock
+from bodylog.io.atomic_files import ensure_dir, replace_atomically, hash_files, read_limited_text
+from bodylog.io.temporary import FOREIGN_S, PART, machine_id, remove_stale, create_scratch_folder, try_lock
 
 WRITER = """
 import sys
 from pathlib import Path
-from bodylog.io.atomic_files import replacing
-with replacing(Path(sys.argv[1])) as beside:
+from bodylog.io.atomic_files import replace_atomically
+with replace_atomically(Path(sys.argv[1])) as beside:
     beside.write_bytes(b"half")
     print("started", flush=True)
     sys.stdin.read()
@@ -38,9 +38,9 @@ def writing(path):
 
 def test_replacing_replaces_or_leaves_the_old_file(tmp_path):
     path = tmp_path / "out.bin"
-    with replacing(path) as beside:
+    with replace_atomically(path) as beside:
         beside.write_bytes(b"first")
-    with pytest.raises(RuntimeError), replacing(path) as beside:
+    with pytest.raises(RuntimeError), replace_atomically(path) as beside:
         beside.write_bytes(b"second")
         raise RuntimeError
     assert path.read_bytes() == b"first"
@@ -54,11 +54,11 @@ def test_replacing_writes_the_target_of_a_link(tmp_path):
     link.symlink_to("elsewhere/out.bin")
     further.symlink_to(link)
     for content in (b"first", b"second"):
-        with replacing(further) as beside:
+        with replace_atomically(further) as beside:
             assert beside.parent == elsewhere
             beside.write_bytes(content)
         assert (elsewhere / "out.bin").read_bytes() == content and link.is_symlink() and further.is_symlink()
-    with pytest.raises(RuntimeError), replacing(link) as beside:
+    with pytest.raises(RuntimeError), replace_atomically(link) as beside:
         raise RuntimeError
     assert (elsewhere / "out.bin").read_bytes() == b"second" and [*elsewhere.iterdir()] == [elsewhere / "out.bin"]
 
@@ -67,11 +67,11 @@ def test_replacing_keeps_permissions(tmp_path, monkeypatch):
     path = tmp_path / "out.bin"
     path.write_bytes(b"mine")
     path.chmod(0o640)
-    with replacing(path) as beside:
+    with replace_atomically(path) as beside:
         beside.write_bytes(b"new")
     assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"new", 0o640)
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write to everything
-    with pytest.raises(OutputError, match="write-protected"), replacing(path):
+    with pytest.raises(OutputError, match="write-protected"), replace_atomically(path):
         pass
     assert [*tmp_path.iterdir()] == [path] and path.read_bytes() == b"new"
 
@@ -80,9 +80,9 @@ def test_replacing_refuses_broken_links(tmp_path):
     astray, circle = tmp_path / "astray", tmp_path / "circle"
     astray.symlink_to("no/out.bin")
     circle.symlink_to("circle")
-    with pytest.raises(OutputError, match=r"mkdir -p .*/no$"), replacing(astray):
+    with pytest.raises(OutputError, match=r"mkdir -p .*/no$"), replace_atomically(astray):
         pass
-    with pytest.raises(OutputError, match="leads back to itself"), replacing(circle):
+    with pytest.raises(OutputError, match="leads back to itself"), replace_atomically(circle):
         pass
     assert circle.is_symlink()
 
@@ -95,13 +95,13 @@ def test_ensure_dir_creates_the_target_of_a_link(tmp_path):
 def test_text_reads_a_pipe_within_limits(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with subprocess.Popen(["sh", "-c", f"echo häßlich > '{tmp_path}/pipe'"]):
-        assert text(tmp_path / "pipe", 10) == "häßlich\n"
+        assert read_limited_text(tmp_path / "pipe", 10) == "häßlich\n"
     with pytest.raises(OSError, match="more than 1000 bytes"):
-        text(Path("/dev/zero"), 1000)
+        read_limited_text(Path("/dev/zero"), 1000)
 
 
 def test_replacing_advises_mkdir(tmp_path):
-    with pytest.raises(OutputError, match="mkdir -p"), replacing(tmp_path / "no" / "out.bin"):
+    with pytest.raises(OutputError, match="mkdir -p"), replace_atomically(tmp_path / "no" / "out.bin"):
         pass
 
 
@@ -111,14 +111,14 @@ def test_sha256_of_a_folder_uses_name_order(tmp_path):
     (folder / "b").write_bytes(b"2")
     (folder / "a").write_bytes(b"1")
     (tmp_path / "both").write_bytes(b"12")
-    assert sha256(folder) == sha256(tmp_path / "both")
+    assert hash_files(folder) == hash_files(tmp_path / "both")
 
 
 def test_replacing_refuses_a_folder_or_device(tmp_path):
-    with pytest.raises(OutputError, match="is a folder"), replacing(tmp_path):
+    with pytest.raises(OutputError, match="is a folder"), replace_atomically(tmp_path):
         pass
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(OutputError, match="is a device"), replacing(tmp_path / "pipe"):
+    with pytest.raises(OutputError, match="is a device"), replace_atomically(tmp_path / "pipe"):
         pass
     assert (tmp_path / "pipe").is_fifo()
 
@@ -140,7 +140,7 @@ def test_replacing_removes_left_overs_of_killed_runs(tmp_path):
     with writing(path) as living:
         (theirs,) = _parts(tmp_path)
         assert theirs != other
-        with replacing(path) as beside:
+        with replace_atomically(path) as beside:
             beside.write_bytes(b"whole")
         assert sorted(tmp_path.iterdir()) == sorted([path, theirs, foreign])
         living.communicate(timeout=60)
@@ -153,7 +153,7 @@ def test_replacing_keeps_files_of_another_machine_for_a_day(tmp_path):
     theirs = tmp_path / f".0badcafe-1{PART}"
     theirs.touch()
     remove_stale(tmp_path, f".*{PART}")
-    assert theirs.exists() and machine() != "0badcafe"
+    assert theirs.exists() and machine_id() != "0badcafe"
     os.utime(theirs, (0, theirs.stat().st_mtime - FOREIGN_S - 1))
     remove_stale(tmp_path, f".*{PART}")
     assert not theirs.exists()
@@ -164,9 +164,9 @@ def test_replacing_removes_nothing_without_locks(tmp_path, monkeypatch):
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr(fcntl, "flock", flock)
-    left = tmp_path / f".{machine()}-1{PART}"
+    left = tmp_path / f".{machine_id()}-1{PART}"
     left.touch()
-    with replacing(tmp_path / "a") as first, replacing(tmp_path / "a") as second:
+    with replace_atomically(tmp_path / "a") as first, replace_atomically(tmp_path / "a") as second:
         first.write_bytes(b"1")
         second.write_bytes(b"2")
         assert _parts(tmp_path) == {left, first, second}
@@ -178,10 +178,10 @@ import os, sys
 from pathlib import Path
 if sys.argv[2] == "pretended":
     os.getpid = lambda: 1
-from bodylog.io.atomic_files import replacing
+from bodylog.io.atomic_files import replace_atomically
 assert os.getpid() == int(sys.argv[3])
 for _ in range(100):
-    with replacing(Path(sys.argv[1])) as beside:
+    with replace_atomically(Path(sys.argv[1])) as beside:
         beside.write_bytes(b"whole")
 """
 ALONE = ("unshare", "--user", "--map-root-user", "--pid", "--fork")
@@ -206,9 +206,9 @@ def test_replacing_is_safe_for_equal_process_ids(tmp_path, how):
 MANY = """
 import sys
 from pathlib import Path
-from bodylog.io.atomic_files import replacing
+from bodylog.io.atomic_files import replace_atomically
 for i in range(300):
-    with replacing(Path(sys.argv[1]) / f"{sys.argv[2]}-{i % 5}") as beside:
+    with replace_atomically(Path(sys.argv[1]) / f"{sys.argv[2]}-{i % 5}") as beside:
         with beside.open("r+b") as stream:
             stream.write(b"whole")
 """
@@ -222,7 +222,7 @@ def test_replacing_is_safe_for_concurrent_runs(tmp_path):
 
 
 def test_remove_stale_removes_an_unlocked_folder(tmp_path):
-    folder = tmp_path / f".{machine()}-1{PART}"
+    folder = tmp_path / f".{machine_id()}-1{PART}"
     folder.mkdir()
     (folder / "log.mcap").touch()
     (folder / "link").symlink_to(tmp_path)
@@ -237,10 +237,10 @@ def test_scratch_keeps_users_folders(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     users = tmp_path / "bodylog-results"
     users.mkdir()
-    for left in (users, tmp_path / f"bodylog-{machine()}-{'0' * 16}", tmp_path / f"bodylog-0badcafe-{'0' * 16}"):
+    for left in (users, tmp_path / f"bodylog-{machine_id()}-{'0' * 16}", tmp_path / f"bodylog-0badcafe-{'0' * 16}"):
         left.mkdir(exist_ok=True)
         os.utime(left, (0, left.stat().st_mtime - FOREIGN_S - 1))
-    with scratch() as folder:
+    with create_scratch_folder() as folder:
         assert sorted(tmp_path.iterdir()) == sorted([users, folder])
     assert list(tmp_path.iterdir()) == [users]
 
@@ -248,14 +248,14 @@ def test_scratch_keeps_users_folders(tmp_path, monkeypatch):
 SWEEPS = """
 import sys
 from pathlib import Path
-from bodylog.io.atomic_files import replacing
-from bodylog.io.temporary import scratch, sweep
+from bodylog.io.atomic_files import replace_atomically
+from bodylog.io.temporary import create_scratch_folder, remove_temporary_files
 place = Path(sys.argv[1])
-with scratch(place) as folder, scratch(place) as other, replacing(place / "out") as beside:
+with create_scratch_folder(place) as folder, create_scratch_folder(place) as other, replace_atomically(place / "out") as beside:
     (folder / "deep").mkdir()
     (folder / "deep" / "file").touch()
     assert len(list(place.iterdir())) == 3
-    sweep()
+    remove_temporary_files()
     print(list(place.iterdir()))
 """
 
@@ -275,15 +275,15 @@ def test_replacing_distinguishes_write_errors_from_output_errors(tmp_path, monke
 
     monkeypatch.setattr(os, "replace", fail)
     text_expected = f"out: {os.strerror(number)}; give another"
-    with pytest.raises(OutputError, match=text_expected) as raised, replacing(tmp_path / "out") as beside:
+    with pytest.raises(OutputError, match=text_expected) as raised, replace_atomically(tmp_path / "out") as beside:
         beside.write_bytes(b"new")
     assert type(raised.value) is kind and raised.value.exit_code == (74 if kind is WriteError else 73)
     assert not os.listdir(tmp_path)
 
 
 def test_replacing_passes_on_errors_of_inputs(tmp_path):
-    with pytest.raises(FileNotFoundError), replacing(tmp_path / "out"):
+    with pytest.raises(FileNotFoundError), replace_atomically(tmp_path / "out"):
         (tmp_path / "input").read_bytes()
-    with pytest.raises(OSError, match="input") as raised, replacing(tmp_path / "out"):
+    with pytest.raises(OSError, match="input") as raised, replace_atomically(tmp_path / "out"):
         raise OSError(errno.EIO, "Input/output error", str(tmp_path / "input"))
     assert not isinstance(raised.value, OutputError)

@@ -10,13 +10,13 @@ import pytest
 import scipy.linalg  # noqa: F401  its BLAS can be limited only once it is loaded
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from bodylog.body import learn
+from bodylog.body import learn_body
 from bodylog.errors import EvidenceError
-from bodylog.estimation import METHODS, estimate
+from bodylog.estimation import METHODS, estimate_from_features
 from bodylog.perception.colours import colour_tracker
 from bodylog.runtime.blas_threads import lower_priority, one_thread
-from bodylog.settings import Estimation, Settings
-from bodylog.types import Features, Frame, Series
+from bodylog.settings import EstimationSettings, Settings
+from bodylog.types import Features, LazyImage, Series
 
 
 def _threads() -> list[int]:
@@ -51,7 +51,7 @@ def test_one_opencv_limits_threads_and_restores_them() -> None:
             return np.zeros((48, 64, 3), np.uint8)
 
         with pytest.raises(RuntimeError, match="enough"):
-            colour_tracker.track(lambda: (Frame(0.0, 0, look) for _ in range(9)), {"effector": "green"})
+            colour_tracker.track_colours(lambda: (LazyImage(0.0, 0, look) for _ in range(9)), {"effector": "green"})
         assert set(seen) == {1}
         assert cv2.getNumThreads() == 3
     finally:
@@ -66,7 +66,7 @@ def _running(run, monkeypatch) -> set[int]:
         seen.extend(_threads())
         raise EvidenceError("enough")
 
-    monkeypatch.setattr(import_module("bodylog.body.learning"), "joints", stop)
+    monkeypatch.setattr(import_module("bodylog.body.learning"), "smooth_all_joints", stop)
     monkeypatch.setitem(METHODS, "laplace", METHODS["laplace"]._replace(estimate=stop))
     with pytest.raises(EvidenceError):
         run()
@@ -76,9 +76,9 @@ def _running(run, monkeypatch) -> set[int]:
 def test_fit_and_estimate_use_one_thread(two, monkeypatch) -> None:
     track = Series(np.zeros(0), np.zeros((0, 2)), ("u", "v"), "px", np.zeros(0, np.int64))
     seen = Features(None, {"effector": track}, None, (), (), {})
-    assert _running(lambda: learn([seen], Settings(), {}), monkeypatch) == {1}
+    assert _running(lambda: learn_body([seen], Settings(), {}), monkeypatch) == {1}
     nothing, nobody = Features(None, {}, None, (), (), {}), SimpleNamespace(joints=(), senses={}, provenance={})
-    assert _running(lambda: estimate(nothing, nobody, Estimation()), monkeypatch) == {1}
+    assert _running(lambda: estimate_from_features(nothing, nobody, EstimationSettings()), monkeypatch) == {1}
     assert set(_threads()) == {2}
 
 

@@ -5,14 +5,14 @@ import pytest
 
 from bodylog import body, camera_delay
 from bodylog.errors import UsageError
-from bodylog.estimation import estimate
-from bodylog.settings import Estimation, Settings, Time
+from bodylog.estimation import estimate_from_features
+from bodylog.settings import EstimationSettings, Settings, TimeSettings
 from tests.body.conftest import run
 from tests.estimation.test_delay import delayed
 
 
 def learned(*features, delay="auto", known=None):
-    return camera_delay.learned(features, Settings(time=Time(delay=delay)), {"version": "0"}, known)
+    return camera_delay.learn_with_delays(features, Settings(time=TimeSettings(delay=delay)), {"version": "0"}, known)
 
 
 def findings_of(found, severity="warning"):
@@ -28,7 +28,7 @@ def off(model, seed=9):
 
 def test_learn_does_not_change_a_sound_exploration():
     features = run(0, 0.003).features
-    found, plain = learned(features), body.learn([features], Settings(), {"version": "0"})
+    found, plain = learned(features), body.learn_body([features], Settings(), {"version": "0"})
     assert not findings_of(found) and found.model.provenance == plain.model.provenance and found.scores == plain.scores
     ours, theirs = found.model.senses["effector"], plain.model.senses["effector"]
     assert all(np.array_equal(getattr(ours, part), getattr(theirs, part)) for part in ("weights", "centres", "spread"))
@@ -45,7 +45,7 @@ def test_learn_does_not_change_a_short_sound_exploration(seed):
 def test_delays_measured_without_a_body_are_as_sure_as_they_state():
     off = []
     for seed, seconds in enumerate((0.0, 0.0, 0.06, -0.1, 0.0, 0.15, 0.0, 0.08, 0.0, -0.06, 0.0, 0.1)):
-        found, unclear = camera_delay.measured(delayed(run(seed, 0.003).features, seconds), Settings())
+        found, unclear = camera_delay.measure_log_delays(delayed(run(seed, 0.003).features, seconds), Settings())
         assert not unclear
         off += [(delay.seconds - seconds) / delay.std_error for delay in found.values()]
     assert len(off) > 10 and 0.6 < np.sqrt(np.mean(np.square(off))) < 1.4 and np.abs(off).max() < 3.0, off
@@ -65,7 +65,7 @@ def test_learn_corrects_a_late_exploration(seed, seconds):
     assert off(late.model) < 1.1 * off(sound.model) < 0.8 * off(left.model)
     (text,) = findings_of(left)
     assert "not corrected" in text and "delay" not in left.model.provenance
-    again = estimate(delayed(run(5, 0.003).features, seconds), late.model, Estimation())
+    again = estimate_from_features(delayed(run(5, 0.003).features, seconds), late.model, EstimationSettings())
     assert not [f for f in again.findings if f.severity == "warning" and "timestamps" in f.text]
     assert again.settings["delay"] == late.model.provenance["delay"]
 

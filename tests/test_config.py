@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from bodylog.config import load, toml
+from bodylog.config import load_settings, settings_as_toml
 from bodylog.errors import ConfigError
-from bodylog.io.toml_keys import declared
-from bodylog.settings import METHODS, Settings, plain
+from bodylog.io.toml_keys import declared_keys
+from bodylog.settings import METHODS, Settings, settings_as_values
 from docs.generate_settings import PAGE, page
 
 
@@ -19,26 +19,26 @@ def _file(tmp_path, text):
 
 
 def test_defaults_when_nothing_is_given():
-    assert load(None) == Settings()
+    assert load_settings(None) == Settings()
 
 
 def test_file_overrides_defaults_and_command_line_overrides_file(tmp_path):
     path = _file(tmp_path, '[estimate]\nmethod = "kalman"\nrate = 50\n[skin]\nthreshold = 0.5\n')
-    settings = load(path, {"estimate": {"method": "smoother"}})
+    settings = load_settings(path, {"estimate": {"method": "smoother"}})
     assert (settings.estimate.method, settings.estimate.rate, settings.skin.threshold) == ("smoother", 50.0, 0.5)
     assert isinstance(settings.estimate.rate, float)
 
 
 def test_cameras_are_one_or_many_and_survive_printing(tmp_path):
-    assert load(None).topics.cameras == ()
-    assert load(_file(tmp_path, "[topics]\ncamera = '/a'\n")).topics.cameras == ("/a",)
-    many = load(_file(tmp_path, "[topics]\ncamera = ['/a', '/b']\n"))
-    assert many.topics.cameras == ("/a", "/b") and load(_file(tmp_path, toml(many))) == many
+    assert load_settings(None).topics.cameras == ()
+    assert load_settings(_file(tmp_path, "[topics]\ncamera = '/a'\n")).topics.cameras == ("/a",)
+    many = load_settings(_file(tmp_path, "[topics]\ncamera = ['/a', '/b']\n"))
+    assert many.topics.cameras == ("/a", "/b") and load_settings(_file(tmp_path, settings_as_toml(many))) == many
 
 
 def test_colours_are_names_or_hsv_ranges(tmp_path):
     text = '[colours]\neffector = {low = [50, 80, 80], high = [70, 255, 255]}\nmarkers = {elbow = "blue"}\n'
-    colours = load(_file(tmp_path, text)).colours
+    colours = load_settings(_file(tmp_path, text)).colours
     assert colours.effector == {"low": (50, 80, 80), "high": (70, 255, 255)}
     assert colours.markers == {"elbow": "blue"}
 
@@ -86,34 +86,34 @@ def test_colours_are_names_or_hsv_ranges(tmp_path):
 )
 def test_impossible_settings_are_rejected_in_one_line(tmp_path, content, text):
     with pytest.raises(ConfigError, match=text) as caught:
-        load(_file(tmp_path, content))
+        load_settings(_file(tmp_path, content))
     assert "robot.toml" in str(caught.value)
 
 
 def test_absent_file_is_a_usage_error(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
-        load(tmp_path / "none.toml")
+        load_settings(tmp_path / "none.toml")
 
 
 def test_endless_file_is_rejected():
     with pytest.raises(ConfigError, match="more than 4194304 bytes"):
-        load(Path("/dev/zero"))
+        load_settings(Path("/dev/zero"))
 
 
 def test_printed_settings_read_back_unchanged(tmp_path):
     given = '[body]\njoints = ["pan \\" lift", "b"]\n[colours]\nmarkers = {elbow = {low = [1,2,3], high = [4,5,6]}}\n'
-    settings = load(_file(tmp_path, given))
-    assert load(_file(tmp_path, toml(settings))) == settings
+    settings = load_settings(_file(tmp_path, given))
+    assert load_settings(_file(tmp_path, settings_as_toml(settings))) == settings
 
 
 def test_preset_paper_implies_predictive_coding(tmp_path):
     toml = tmp_path / "robot.toml"
     toml.write_text('[estimate]\npreset = "paper"\n')
-    assert load(toml).estimate.method == "predictive-coding"
-    assert load(None, {"estimate": {"preset": "paper"}}).estimate.method == "predictive-coding"
-    assert load(toml, {"estimate": {"method": "kalman"}}).estimate.method == "kalman"
-    assert load(None, {"estimate": {"preset": "paper", "method": "smoother"}}).estimate.method == "smoother"
-    assert load(None, {"estimate": {"preset": "default"}}).estimate.method == "laplace"
+    assert load_settings(toml).estimate.method == "predictive-coding"
+    assert load_settings(None, {"estimate": {"preset": "paper"}}).estimate.method == "predictive-coding"
+    assert load_settings(toml, {"estimate": {"method": "kalman"}}).estimate.method == "kalman"
+    assert load_settings(None, {"estimate": {"preset": "paper", "method": "smoother"}}).estimate.method == "smoother"
+    assert load_settings(None, {"estimate": {"preset": "default"}}).estimate.method == "laplace"
 
 
 SECTIONS = {f.name: type(getattr(Settings(), f.name)) for f in fields(Settings) if f.name != "features"}
@@ -121,10 +121,10 @@ SECTIONS = {f.name: type(getattr(Settings(), f.name)) for f in fields(Settings) 
 
 @pytest.mark.parametrize("section", SECTIONS)
 def test_settings_are_described_and_their_defaults_are_possible(section):
-    for name, one in declared(SECTIONS[section]).items():
+    for name, one in declared_keys(SECTIONS[section]).items():
         assert one.key.meaning.endswith(".") and len(one.key.meaning.split()) <= 12, name
         assert one.key.unset or one.default is not None, name
-        assert load(None, {section: {name: one.default}}) == Settings()
+        assert load_settings(None, {section: {name: one.default}}) == Settings()
 
 
 def test_methods_are_those_of_estimation():
@@ -134,14 +134,14 @@ def test_methods_are_those_of_estimation():
 
 
 def test_printed_settings_name_every_key_below_its_meaning():
-    lines = toml(Settings()).splitlines()
-    for section, values in plain(Settings()).items():
+    lines = settings_as_toml(Settings()).splitlines()
+    for section, values in settings_as_values(Settings()).items():
         for name in values:
-            one = declared(SECTIONS[section])[name]
+            one = declared_keys(SECTIONS[section])[name]
             place = lines.index(f"# {one.key.meaning}", lines.index(f"[{section}]"))
             assert lines[place + 2].removeprefix("# ").startswith(f"{name} ="), name
 
 
 def test_page_of_settings_is_what_they_declare():
     assert PAGE.read_text(encoding="utf-8") == page(), "type: make docs"
-    assert all(f"`{name}`" in page() for values in plain(Settings()).values() for name in values)
+    assert all(f"`{name}`" in page() for values in settings_as_values(Settings()).values() for name in values)

@@ -9,7 +9,7 @@ import pytest
 
 import bodylog.logs as logs
 from bodylog import delay_findings, pipeline
-from bodylog.settings import Settings, Time
+from bodylog.settings import Settings, TimeSettings
 
 ARM = Path(__file__).parents[1] / "fixtures" / "arm"
 IMAGES = "/camera/color/image_raw/compressed"
@@ -47,7 +47,7 @@ def measured(result):
 @pytest.mark.parametrize("with_body", [False, True])
 @pytest.mark.parametrize("name", ["explore.mcap", "reach.mcap"])
 def test_doctor_accuses_no_sound_log(name, with_body, body):
-    found = pipeline.doctor(ARM / name, None, Settings(), body=body if with_body else None)
+    found = pipeline.diagnose_log(ARM / name, None, Settings(), body=body if with_body else None)
     late, error = measured(found)
     assert abs(late) < 3 * error < 0.01
     (remark,) = found.findings
@@ -57,7 +57,7 @@ def test_doctor_accuses_no_sound_log(name, with_body, body):
 @pytest.mark.parametrize(("with_body", "seconds"), [(False, 0.08), (False, -0.15), (True, 0.06)])
 def test_doctor_finds_late_images(with_body, seconds, body, tmp_path):
     log = shifted(ARM / "reach.mcap", tmp_path / "late.mcap", seconds)
-    found = pipeline.doctor(log, None, Settings(), body=body if with_body else None)
+    found = pipeline.diagnose_log(log, None, Settings(), body=body if with_body else None)
     late, error = measured(found)
     assert abs(late - seconds) < 3 * error < 0.01
     (warning,) = (one for one in found.findings if one.severity == "warning")
@@ -71,7 +71,7 @@ def test_doctor_compares_with_the_delay_that_is_given(body, tmp_path):
     for given, severity, text in (({"camera": 0.06}, "info", "0.06 s is expected"),
                                   ({"camera": 0.0}, "warning", "not 0 s; type --delay camera=0.0")):  # fmt: skip
         for known in (None, body):
-            found = pipeline.doctor(log, None, Settings(time=Time(delay=given)), body=known)
+            found = pipeline.diagnose_log(log, None, Settings(time=TimeSettings(delay=given)), body=known)
             (remark,) = (one for one in found.findings if "image timestamps" in one.text)
             assert (remark.severity, text in remark.text) == (severity, True), remark
             assert abs(measured(found)[0] - 0.06) < 0.01
@@ -86,18 +86,18 @@ def test_doctor_says_why_it_measures_no_delay(body, tmp_path):
         data = [bytes(one.value.data) for one in log.messages([IMAGES])]
         new.write(IMAGES, COMPRESSED, stamps, {"header.stamp": stamps, "format": "jpeg", "data": data})
     alone = shifted(ARM / "reach.mcap", tmp_path / "alone.mcap", joints=False)
-    assert "not measured: no joint moved" in pipeline.doctor(still, None, Settings()).findings[-1].text
-    text = pipeline.doctor(still, None, Settings(), body=body).findings[-1].text
+    assert "not measured: no joint moved" in pipeline.diagnose_log(still, None, Settings()).findings[-1].text
+    text = pipeline.diagnose_log(still, None, Settings(), body=body).findings[-1].text
     assert "camera: delay not measured" in text and "--body" not in text
-    assert not pipeline.doctor(alone, None, Settings()).findings
-    assert "no moving joints" in pipeline.doctor(alone, None, Settings(), body=body).findings[-1].text
+    assert not pipeline.diagnose_log(alone, None, Settings()).findings
+    assert "no moving joints" in pipeline.diagnose_log(alone, None, Settings(), body=body).findings[-1].text
 
 
 def test_doctor_looks_at_part_of_a_long_log():
     from bodylog.recording import recording
 
-    read = recording.read(ARM / "explore.mcap", Settings())
-    part = delay_findings.middle(replace(read, views={"side": read.frames}), 10.0, 50)
+    read = recording.read_recording(ARM / "explore.mcap", Settings())
+    part = delay_findings.middle_of_recording(replace(read, views={"side": read.frames}), 10.0, 50)
     t = [frame.t for frame in part.frames()]
     assert 30 <= len(t) <= 40 and 14.9 < t[0] < 15.3 and 24.5 < t[-1] < 25.1
     assert np.ptp(part.joints.t) <= 10.0 and len(part.joints.t) == len(part.joints.values) == len(part.joints.source_ns)

@@ -28,7 +28,7 @@ def test_numpy_takes_the_environment_without_a_warning(name: str) -> None:
     assert done.stdout == "3.0\n" and not done.stderr
 
 
-def test_profiles_that_round_alike_must_give_the_same_bytes() -> None:
+def test_profiles_of_equal_rounding_must_give_the_same_bytes() -> None:
     own = Outcome("a", "b", np.zeros((2, 3)))
     other = Outcome("a", "c", np.full((2, 3), 1e-9))
     far = Outcome("a", "c", np.full((2, 3), 1e-4))

@@ -76,8 +76,8 @@ def test_joints_are_grouped_by_the_side_in_their_names() -> None:
 
 
 @pytest.mark.skipif(not G1.is_dir(), reason="the recorded humanoid is not in ../shared/real/g1")
-def test_the_delay_of_a_recorded_humanoid_is_told_without_marker_or_urdf() -> None:
-    read = recording.read(Path(f"{G1}#1"), Settings())
+def test_the_delay_of_a_recorded_humanoid_is_found_without_marker_or_urdf() -> None:
+    read = recording.read_recording(Path(f"{G1}#1"), Settings())
     (camera,) = measure_flow_delays(read)
     assert camera.found is not None and camera.found.certain
     # an adjustment with the URDF gives 85.2 ms

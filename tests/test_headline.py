@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from bodylog.evaluation.figures import MEASURED_DELAYS, MISFIT
-from bodylog.headline import NAMES, of_estimate
+from bodylog.headline import NAMES, headline_of_estimate
 from bodylog.types import Fault, Score
 from tests.report.records import JOINTS, estimate
 
@@ -18,7 +18,7 @@ def _innovations(*errors: float) -> tuple[Score, ...]:
 
 def test_a_sound_log_without_truth_has_four_figures() -> None:
     typical = 2.0 * np.sqrt(np.median(np.einsum("nii->ni", SOUND.cov)))
-    assert of_estimate(SOUND, _innovations(0.4321)) == {
+    assert headline_of_estimate(SOUND, _innovations(0.4321)) == {
         "faults": "none found",
         "error bar (2σ)": f"± {typical:.3g} rad ({np.degrees(typical):.3g}°)",
         "reprojection error (RMS)": "0.43 px (tag0)",
@@ -27,7 +27,7 @@ def test_a_sound_log_without_truth_has_four_figures() -> None:
 
 
 def test_the_error_stands_where_there_is_truth() -> None:
-    found = of_estimate(SOUND, (Score("rmse/joint", 0.0072, "rad"),))
+    found = headline_of_estimate(SOUND, (Score("rmse/joint", 0.0072, "rad"),))
     assert tuple(found) == NAMES and found["error (RMSE)"] == "0.0072 rad (0.413°)"
     assert found["reprojection error (RMS)"] == "–"
 
@@ -36,16 +36,16 @@ def test_faults_have_their_sizes_and_a_log_that_does_not_fit_has_none() -> None:
     drift = Fault("encoders", JOINTS[0], "drifting", 8.8, 0.302, "rad", 0.01)
     frozen = Fault("encoders", JOINTS[1], "frozen", 5.0, 0.0, "rad")
     either = Fault("encoders", " or ".join(JOINTS[:2]), "offset", 5.0, float("nan"), "rad")
-    shown = of_estimate(replace(SOUND, faults=(drift, frozen, either)), ())["faults"]
+    shown = headline_of_estimate(replace(SOUND, faults=(drift, frozen, either)), ())["faults"]
     drifting = f"{JOINTS[0]} drifting by 0.302 ± 0.01 rad (17.3 ± 0.57°)"
     assert shown == f"{drifting}, {JOINTS[1]} frozen, {either.name} offset"
     settings = {**SOUND.settings, MISFIT: {"text": "98 % are off"}}
-    shown = of_estimate(replace(SOUND, faults=(drift,), settings=settings), ())["faults"]
+    shown = headline_of_estimate(replace(SOUND, faults=(drift,), settings=settings), ())["faults"]
     assert shown == "not told: the log does not fit the body"
 
 
 def test_of_many_tracks_the_median_and_the_largest_stand() -> None:
-    shown = of_estimate(SOUND, _innovations(0.4, 0.5, 0.6, 0.5, 3.0))["reprojection error (RMS)"]
+    shown = headline_of_estimate(SOUND, _innovations(0.4, 0.5, 0.6, 0.5, 3.0))["reprojection error (RMS)"]
     assert shown == "0.5 px (median of 5 tracks), largest 3 px (tag4)"
 
 
@@ -58,5 +58,5 @@ def test_a_delay_says_whether_it_is_corrected() -> None:
         "doubt": "the joints hardly move",
     }
     settings = {"delay": {"camera": 0.062}, MEASURED_DELAYS: {"camera": both, "left": other}}
-    shown = of_estimate(replace(SOUND, settings=settings), ())["delay"]
+    shown = headline_of_estimate(replace(SOUND, settings=settings), ())["delay"]
     assert shown == "62 ± 1 ms (camera, corrected), -4 ± 2 ms (left, not corrected)"

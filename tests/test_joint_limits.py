@@ -80,4 +80,4 @@ READ = {
 
 @pytest.mark.parametrize(("kind", "limit"), READ)
 def test_limits_are_read_where_they_make_sense(kind, limit):
-    assert urdf.parse(JOINT.format(kind, limit), "r.urdf").by_name["j"].limits == READ[kind, limit]
+    assert urdf.parse_urdf(JOINT.format(kind, limit), "r.urdf").by_name["j"].limits == READ[kind, limit]

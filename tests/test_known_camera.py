@@ -4,68 +4,68 @@ import numpy as np
 import pytest
 
 from bodylog.body.kinematic.placements import Lens
-from bodylog.calibration import camera_info
+from bodylog.calibration import camera_info_yaml
 from bodylog.errors import ConfigError
 from bodylog.kinematics import urdf
-from bodylog.kinematics.links import INFO_LENS, CameraHint, Space, Track
-from bodylog.kinematics.rotations import from_rpy, inverse
+from bodylog.kinematics.links import INFO_LENS, CameraHint, Space, MarkerTrack
+from bodylog.kinematics.rotations import rotation_from_rpy, invert_transform
 from bodylog.known_camera import load_lens, with_known
-from bodylog.settings import Camera
+from bodylog.settings import CameraSettings
 from tests.kinematics import robots
 
-ROBOT = urdf.parse(robots.ARM, "arm.urdf")
+ROBOT = urdf.parse_urdf(robots.ARM, "arm.urdf")
 HINT = CameraHint(size=(1280, 720))
 LENS = Lens(*(np.array(pair) for pair in ([630.0, 633.0], [1, 1], [641.0, 362.0], [1, 1], [-0.06, 0.03], [1, 1])))
 
 
-def camera(known: Camera):
+def camera(known: CameraSettings):
     """The camera of a rig, as the given hint makes it."""
     hint = with_known(HINT, known, ROBOT)
     q = robots.angles(3)
-    track = Track("", "tip", robots.seen(robots.rig(), robots.rig().prior[0], q, 0.1))
+    track = MarkerTrack("", "tip", robots.seen(robots.rig(), robots.rig().prior[0], q, 0.1))
     space = Space(ROBOT, robots.JOINTS, {}, 0.1)
     return space.rig([track], {"": hint.link or "base"}, {"tip": "tool"}, {"": hint}).cameras[0]
 
 
 def test_a_lens_that_calibration_wrote_is_read_back(tmp_path):
-    (tmp_path / "lens.yaml").write_text(camera_info("camera", LENS, (1280, 720)))
+    (tmp_path / "lens.yaml").write_text(camera_info_yaml("camera", LENS, (1280, 720)))
     numbers, size = load_lens(tmp_path / "lens.yaml")
     assert size == (1280, 720)
     np.testing.assert_allclose(np.exp(numbers[0]) * np.array([1.0, np.exp(numbers[1])]), LENS.focal)
     np.testing.assert_allclose(numbers[2:], [641.0, 362.0, -0.06, 0.03])
-    found = camera(Camera(info=str(tmp_path / "lens.yaml")))
+    found = camera(CameraSettings(info=str(tmp_path / "lens.yaml")))
     np.testing.assert_allclose(found.lens, numbers)
     np.testing.assert_allclose(found.doubt[6:], INFO_LENS)
 
 
 def test_a_focal_length_has_the_doubt_that_was_given():
-    found = camera(Camera(focal=633.9, focal_std=0.002))
+    found = camera(CameraSettings(focal=633.9, focal_std=0.002))
     assert np.exp(found.lens[0]) == pytest.approx(633.9) and found.doubt[6] == 0.002
     assert found.lens[2] == 640.0 and found.doubt[8] == 60.0  # the centre is as unknown as without
-    assert camera(Camera()).doubt[6] > 0.3
+    assert camera(CameraSettings()).doubt[6] > 0.3
 
 
 def test_a_place_has_the_doubt_that_was_given():
-    known = Camera(link="hand", place=(0.1, 0.0, 0.05, 0.0, 0.3, 0.0), place_std=0.003, turn_std=0.5)
+    known = CameraSettings(link="hand", place=(0.1, 0.0, 0.05, 0.0, 0.3, 0.0), place_std=0.003, turn_std=0.5)
     found = camera(known)
-    pose = inverse(found.anchor)
+    pose = invert_transform(found.anchor)
     assert found.link == "hand"
     np.testing.assert_allclose(pose[:3, 3], [0.1, 0.0, 0.05], atol=1e-12)
-    np.testing.assert_allclose(pose[:3, :3], from_rpy(np.array([0.0, 0.3, 0.0])), atol=1e-12)
+    np.testing.assert_allclose(pose[:3, :3], rotation_from_rpy(np.array([0.0, 0.3, 0.0])), atol=1e-12)
     np.testing.assert_allclose(found.doubt[:6], [0.003] * 3 + [np.radians(0.5)] * 3)
 
 
 def test_what_cannot_be_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"\[camera\] link: found 'head', possible: base, turret"):
-        with_known(HINT, Camera(link="head"), ROBOT)
+        with_known(HINT, CameraSettings(link="head"), ROBOT)
     with pytest.raises(ConfigError, match="in which link"):
-        with_known(HINT, Camera(place=(0.0,) * 6), ROBOT)
+        with_known(HINT, CameraSettings(place=(0.0,) * 6), ROBOT)
     with pytest.raises(ConfigError, match="found 3 numbers, possible: 6"):
-        with_known(HINT, Camera(link="hand", place=(0.0,) * 3), ROBOT)
+        with_known(HINT, CameraSettings(link="hand", place=(0.0,) * 3), ROBOT)
     path = tmp_path / "lens.yaml"
     with pytest.raises(ConfigError, match=r"lens\.yaml: cannot be read as YAML"):
         load_lens(path)
-    text = camera_info("camera", LENS, (1280, 720))
+    text = camera_info_yaml("camera", LENS, (1280, 720))
     for bad, words in (
         ("[1, 2]", "image_width: found 'None'"),
         (text.replace("630.0", "-630.0"), "possible: positive numbers"),

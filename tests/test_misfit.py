@@ -12,7 +12,7 @@ from bodylog import misfit
 from bodylog.body import storage
 from bodylog.log_estimate import infer_from_encoders
 from bodylog.misfit import find_misfit
-from bodylog.settings import Estimation, Settings
+from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Array
 from tests.estimation.conftest import JOINTS, Arm, World, draw
 from tests.seeds import seeds
@@ -53,8 +53,8 @@ def off_by(joint: str, offset):
     return lambda t, values, names: values + np.outer(offset(t), np.array(names) == joint)
 
 
-def found(world: World) -> misfit.Misfit | None:
-    return find_misfit(world.features, world.body, Estimation())
+def found(world: World) -> misfit.LogMisfit | None:
+    return find_misfit(world.features, world.body, EstimationSettings())
 
 
 READ = {
@@ -70,7 +70,7 @@ READ = {
 def test_columns_read_wrongly_are_named(words, seed) -> None:
     wrong = found(with_readings(draw(seed, duration=12.0), READ[words]))
     assert wrong is not None and wrong.explanation is not None and words in wrong.explanation
-    assert wrong.off_explained is not None and wrong.off_explained < 0.05 and wrong.nats > misfit.NATS
+    assert wrong.off_explained is not None and wrong.off_explained < 0.05 and wrong.nats > misfit.EVIDENCE_THRESHOLD_NATS
 
 
 OFFSETS = {
@@ -118,17 +118,17 @@ def test_images_of_two_cameras_swapped_are_named(seed) -> None:
     body = replace(first.body, senses={"effector": Arm(), "side/effector": Mirrored()})
     right = replace(first.features, tracks={"effector": one, "side/effector": other})
     wrong = replace(first.features, tracks={"effector": other, "side/effector": one})
-    assert find_misfit(right, body, Estimation()) is None
-    misread = find_misfit(wrong, body, Estimation())
+    assert find_misfit(right, body, EstimationSettings()) is None
+    misread = find_misfit(wrong, body, EstimationSettings())
     assert misread is not None and misread.explanation == "the images of camera and side swapped"
 
 
 @pytest.mark.parametrize("seed", seeds(1, 6))
 def test_log_of_another_camera_is_named(seed) -> None:
     other = draw(seed, duration=20.0, encoder_std=0.002, model=Mirrored())
-    wrong = find_misfit(other.features, draw(seed).body, Estimation())
+    wrong = find_misfit(other.features, draw(seed).body, EstimationSettings())
     assert wrong is not None and wrong.explanation is not None and "another camera" in wrong.explanation
-    text = misfit.sentence(wrong)
+    text = misfit.misfit_sentence(wrong)
     assert text.startswith("this log does not fit this body: ") and "more than 3 σ off" in text
 
 
@@ -144,7 +144,7 @@ def test_doubt_in_a_swapped_log_covers_the_truth() -> None:
     wrong = found(world)
     assert wrong is not None
     alone = infer_from_encoders(world.features, world.body, Settings())
-    estimate = misfit.doubted(alone, world.features, wrong)
+    estimate = misfit.with_doubt(alone, world.features, wrong)
     truth = np.stack([np.interp(estimate.joints.t, world.truth.t, one) for one in world.truth.values.T], axis=1)
     std = np.sqrt(np.einsum("nii->ni", estimate.cov))
     assert not estimate.faults and (np.abs(estimate.joints.values - truth) < 2.0 * std).mean() > 0.95
@@ -154,7 +154,7 @@ def test_doubt_in_a_swapped_log_covers_the_truth() -> None:
 @pytest.fixture(scope="module")
 def body_with_swapped_names(tmp_path_factory, arm_body: Path) -> Path:
     """The arm's body with the names of two joints exchanged: what swapped columns of a log are to it."""
-    body, path = storage.load(arm_body), tmp_path_factory.mktemp("swapped") / "body.npz"
+    body, path = storage.load_body(arm_body), tmp_path_factory.mktemp("swapped") / "body.npz"
     assert body.joints == ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint")
     storage.save(replace(body, joints=("elbow_joint", "shoulder_pan_joint", "shoulder_lift_joint")), path)
     return path
@@ -172,8 +172,8 @@ def test_estimate_of_a_log_that_does_not_fit_exits_with_3(
     assert "the columns of shoulder_pan_joint and shoulder_lift_joint swapped" in text
     assert any(one["severity"] == "lost" and one["text"] == text for one in result["findings"])
     assert run_cli("estimate", *typed) == 3
-    said = capsys.readouterr()
-    assert said.out.splitlines() == [text] and text not in said.err
+    printed = capsys.readouterr()
+    assert printed.out.splitlines() == [text] and text not in printed.err
     assert run_cli("report", out, "-o", tmp_path / "report.html") == 0
     assert "does not fit this body" in (tmp_path / "report.html").read_text()
 

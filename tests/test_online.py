@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bodylog import Estimator, body
-from bodylog.body.senses.encoder_function import Polynomial, understood
+from bodylog.body.senses.encoder_function import Polynomial, convert_readings_to_angles
 from bodylog.errors import LogError, UsageError
-from bodylog.estimation import estimate
-from bodylog.settings import Estimation, Settings
+from bodylog.estimation import estimate_from_features
+from bodylog.settings import EstimationSettings, Settings
 from tests.body.conftest import run
 from tests.estimation.conftest import draw
 
@@ -28,18 +28,18 @@ def read(reading, seed, noise, duration, reference):
 def learned():
     """A body by each kind of encoder."""
     logs = {name: read(reading, 0, 0.003, 20.0, True) for name, reading in READINGS.items()}
-    return {name: body.learn([features], Settings(), {}).model for name, features in logs.items()}
+    return {name: body.learn_body([features], Settings(), {}).model for name, features in logs.items()}
 
 
 @pytest.mark.parametrize("name", READINGS)
 @pytest.mark.parametrize("bias", ["off", "on"])
 @pytest.mark.parametrize("seed", [0, 3])
 def test_raw_readings_as_they_come_give_the_belief_of_the_log(learned, name, bias, seed):
-    model, settings = learned[name], Estimation(precision="model", bias=bias)
+    model, settings = learned[name], EstimationSettings(precision="model", bias=bias)
     assert isinstance(model.senses["encoders"], Polynomial)
     features = read(READINGS[name], seed, 0.003, 6.0, False)
     joints, track = features.joints, features.tracks["effector"]
-    batch = estimate(*understood(features, model, settings))
+    batch = estimate_from_features(*convert_readings_to_angles(features, model, settings))
     rows = [dict(zip(joints.names, row, strict=True)) for row in joints.values]
     messages = [(t, {"joints": row}) for t, row in zip(joints.t, rows, strict=True)]
     places = np.hstack([track.values, track.std])
@@ -77,10 +77,10 @@ def test_online_refuses_a_body_with_ambiguous_readings(learned):
 @pytest.mark.parametrize("seed", range(2))
 def test_estimator_uses_late_images_at_their_capture_time(seed):
     """As given, or as the body was learned with: the belief of the log, whose pictures are dated as late."""
-    drawn, settings = draw(seed, duration=6.0), Estimation(precision="model", bias="off")
+    drawn, settings = draw(seed, duration=6.0), EstimationSettings(precision="model", bias="off")
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
     late = replace(track, t=track.t + 0.05)
-    batch = estimate(replace(drawn.features, tracks={"effector": late}), drawn.body, settings, {"camera": 0.05})
+    batch = estimate_from_features(replace(drawn.features, tracks={"effector": late}), drawn.body, settings, {"camera": 0.05})
     rows = [dict(zip(joints.names, row, strict=True)) for row in joints.values]
     messages = [(t, {"joints": row}) for t, row in zip(joints.t, rows, strict=True)]
     places = np.hstack([track.values, track.std])

@@ -16,7 +16,7 @@ from bodylog_cli.commands import bodylog as commands
 import bodylog
 import bodylog.logs as logs
 from bodylog.batch import manifest
-from bodylog.config import load
+from bodylog.config import load_settings
 from bodylog.settings import Settings
 
 ROOT = Path(__file__).parents[1]
@@ -96,7 +96,7 @@ def test_settings_on_a_page_are_accepted(page, tmp_path):
     for block in _blocks(page, "toml"):
         assert tomllib.loads(block)
         (tmp_path / "robot.toml").write_text(block)
-        manifest.load(tmp_path / "robot.toml", Settings()) if "[[group]]" in block else load(tmp_path / "robot.toml")
+        manifest.load_manifest(tmp_path / "robot.toml", Settings()) if "[[group]]" in block else load_settings(tmp_path / "robot.toml")
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -6,7 +6,7 @@ import pytest
 
 from bodylog import pipeline
 from bodylog.errors import EvidenceError, LogError, OutputError, UsageError
-from bodylog.evaluation.scores import scores
+from bodylog.evaluation.scores import score_angles
 from bodylog.logs.formats import open_log
 from bodylog.settings import Settings
 
@@ -48,7 +48,7 @@ def test_impossible_output_is_refused_before_reading(tmp_path, monkeypatch, arm,
 
 def test_encoders_that_read_no_angles_are_scored_by_none():
     from bodylog.body import Polynomial
-    from bodylog.settings import Estimation
+    from bodylog.settings import EstimationSettings
     from tests.estimation.conftest import draw
 
     drawn = draw(0, duration=4.0)
@@ -56,9 +56,9 @@ def test_encoders_that_read_no_angles_are_scored_by_none():
     body = replace(drawn.body, senses={**drawn.body.senses, "encoders": doubled})
     joints = drawn.features.joints
     features = replace(drawn.features, joints=replace(joints, values=2.0 * joints.values))
-    settings = Settings(estimate=Estimation(method="predictive-coding", start=tuple(drawn.truth.values[0])))
+    settings = Settings(estimate=EstimationSettings(method="predictive-coding", start=tuple(drawn.truth.values[0])))
     found = pipeline.infer(features, body, settings)
-    assert not [score.name for score in scores(found, drawn.truth, features.joints) if score.name.startswith("encoder")]
+    assert not [score.name for score in score_angles(found, drawn.truth, features.joints) if score.name.startswith("encoder")]
     assert any("rmse/encoders is left out" in finding.text for finding in found.findings)
 
 
@@ -72,18 +72,18 @@ def test_fit_names_a_log_without_joints(tmp_path, monkeypatch, arm) -> None:
 
 def test_estimate_rejects_images_of_another_width_unless_unused(tmp_path, arm, arm_body) -> None:
     from bodylog.body import storage
-    from bodylog.compare import compare
+    from bodylog.compare import compare_methods
     from bodylog.errors import ModelError
-    from bodylog.settings import Estimation
+    from bodylog.settings import EstimationSettings
 
-    body, known = tmp_path / "wide.npz", storage.load(arm_body)
+    body, known = tmp_path / "wide.npz", storage.load_body(arm_body)
     storage.save(replace(known, provenance={**known.provenance, "image_width": 640}), body)
     out, log = tmp_path / "out.mcap", arm / "reach.mcap"
-    for run in (lambda: pipeline.estimate(log, body, out, Settings()), lambda: compare(log, body, Settings())):
+    for run in (lambda: pipeline.estimate(log, body, out, Settings()), lambda: compare_methods(log, body, Settings())):
         with pytest.raises(ModelError, match=r"320 px wide, 640 px where .* --without vision,touch"):
             run()
     assert not out.exists()
-    pipeline.estimate(log, body, out, Settings(estimate=Estimation(without=("vision", "touch"))))
+    pipeline.estimate(log, body, out, Settings(estimate=EstimationSettings(without=("vision", "touch"))))
     assert out.exists()
 
 
@@ -106,7 +106,7 @@ def test_progress_counts_the_messages_or_images_of_the_whole_log(tmp_path):
     with open_log(log) as opened:
         messages = {topic.name: topic.messages for topic in opened.topics}
     done: dict[str, list[int]] = {"doctor": [], "convert": [], "ingest": []}
-    pipeline.doctor(log, progress=done["doctor"].append)
+    pipeline.diagnose_log(log, progress=done["doctor"].append)
     pipeline.convert([log], tmp_path / "c.mcap", Settings(), progress=done["convert"].append)
     pipeline.ingest(log, tmp_path / "i.mcap", Settings(), progress=done["ingest"].append)
     whole = sum(messages.values())

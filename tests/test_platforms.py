@@ -18,11 +18,11 @@ for package, folder in (("bodylog", "bodylog"), ("bodylog_cli", "cli")):
         if parts[-1] != "__main__":
             importlib.import_module(".".join((package, *parts)).removesuffix(".__init__"))
 from bodylog.io import temporary
-with temporary.scratch() as folder:
+with temporary.create_scratch_folder() as folder:
     (folder / "x").write_text("y")
 assert not folder.exists()
 import bodylog_cli
-raise SystemExit(bodylog_cli.run(["--version"]))
+raise SystemExit(bodylog_cli.run_command(["--version"]))
 """
 
 

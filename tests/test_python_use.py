@@ -12,7 +12,7 @@ from bodylog.errors import ConfigError
 from bodylog.estimation.noise.angle_unit import unit_of
 from bodylog.result import Scores
 from bodylog.settings import Settings
-from bodylog.types import Frame, Score, Series
+from bodylog.types import LazyImage, Score, Series
 
 IMAGES = "/camera/color/image_raw/compressed"
 
@@ -52,7 +52,7 @@ def test_settings_may_be_mappings_and_are_checked():
 
 
 def test_a_frame_is_printed_without_its_bytes():
-    frame = Frame(0.5, 1, lambda _: np.zeros((2, 2, 3), np.uint8))
+    frame = LazyImage(0.5, 1, lambda _: np.zeros((2, 2, 3), np.uint8))
     assert repr(frame) == "Frame(t=0.5, source_ns=1, shrinks=False)"
 
 

@@ -15,7 +15,7 @@ import bodylog.logs as logs
 from bodylog import info
 from bodylog.errors import BodylogError, LogError, UsageError
 from bodylog.io import remote
-from bodylog.logs.formats import payloads
+from bodylog.logs.formats import payload_views
 from bodylog.settings import Settings
 from tests.logs.writing import T0, Stream, write
 
@@ -104,8 +104,8 @@ def _named(described, path, url):
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_mapped_remote_info_equals_the_files(path):
     url = path.resolve().as_uri()
-    here = _described(lambda: info.info(path, Settings()))
-    assert _described(lambda: info.info(url, Settings())) == _named(here, str(path), url)
+    here = _described(lambda: info.describe_file(path, Settings()))
+    assert _described(lambda: info.describe_file(url, Settings())) == _named(here, str(path), url)
 
 
 def test_mapped_remote_reads_no_images_for_info(tmp_path, monkeypatch):
@@ -122,7 +122,7 @@ def test_mapped_remote_reads_no_images_for_info(tmp_path, monkeypatch):
         return part(url, start, end, *wait_s)
 
     monkeypatch.setattr(remote, "read_range", counted)
-    described = info.info(log.as_uri(), Settings())
+    described = info.describe_file(log.as_uri(), Settings())
     assert [topic["messages"] for topic in described["topics"]] == [48, 1]
     assert log.stat().st_size > 48 << 20
     assert sum(brought) < 4 << 20
@@ -134,7 +134,7 @@ def test_info_over_http_equals_the_files(served, robot):
     bag = Path(__file__).parents[1] / "fixtures" / "containers" / "lz4.bag"
     shutil.copy(bag, folder / "lz4.bag")
     for path in folder.iterdir():
-        described, here = info.info(f"{address}/{path.name}", Settings()), info.info(path, Settings())
+        described, here = info.describe_file(f"{address}/{path.name}", Settings()), info.describe_file(path, Settings())
         assert described.pop("path") == f"{address}/{path.name}"
         here.pop("path")
         assert described == here
@@ -145,7 +145,7 @@ def _read(where):
     named = "LOG"
     try:
         with logs.open(where) as log:
-            held = sorted((one.topic_id, bytes(payload)) for one in log.batches() for payload in payloads(one))
+            held = sorted((one.topic_id, bytes(payload)) for one in log.batches() for payload in payload_views(one))
             return log.format, held, [one.text.replace(str(where), named) for one in log.findings]
     except BodylogError as err:
         return type(err), str(err).replace(str(where), named)
@@ -203,7 +203,7 @@ def test_remote_errors_are_one_line(served, tmp_path):
     _, address = served
     for url in (f"{address}/none.mcap", f"file://{tmp_path}/none.mcap", "quux://x/y.mcap", "http://127.0.0.1:1/y.mcap"):
         with pytest.raises((LogError, UsageError)) as caught:
-            info.info(url, Settings())
+            info.describe_file(url, Settings())
         assert url in str(caught.value)
         assert "\n" not in str(caught.value)
 
@@ -230,7 +230,7 @@ def test_mapped_remote_leaves_no_descriptor_open():
     url = FILES[0].resolve().as_uri()
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(3):
-        info.info(url, Settings())
+        info.describe_file(url, Settings())
     gc.collect()
     assert len(os.listdir("/proc/self/fd")) <= before
 
@@ -254,8 +254,8 @@ def silent():
 
 
 def test_a_store_that_never_answers_is_given_up(silent, tmp_path, run_cli, capsys, robot):
-    told = r"silent://x/a.mcap: its server did not answer within 0.2 s; .*\[input\] max_wait_s = 2"
-    with pytest.raises(LogError, match=told):
+    expected_error = r"silent://x/a.mcap: its server did not answer within 0.2 s; .*\[input\] max_wait_s = 2"
+    with pytest.raises(LogError, match=expected_error):
         logs.open("silent://x/a.mcap", max_wait_s=0.2)
     (tmp_path / "robot.toml").write_text("[input]\nmax_wait_s = 0.2\n")
     settings = ("--config", tmp_path / "robot.toml")
@@ -270,6 +270,6 @@ def test_a_store_that_never_answers_is_given_up(silent, tmp_path, run_cli, capsy
 
 
 def test_the_answer_of_a_store_and_its_errors_are_its_own():
-    assert remote._answer(lambda: 7, 1.0) == 7
+    assert remote._wait_for_answer(lambda: 7, 1.0) == 7
     with pytest.raises(FileNotFoundError, match="gone"):
-        remote._answer(lambda: (_ for _ in ()).throw(FileNotFoundError("gone")), 1.0)
+        remote._wait_for_answer(lambda: (_ for _ in ()).throw(FileNotFoundError("gone")), 1.0)

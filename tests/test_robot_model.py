@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from bodylog import body, robot_model
-from bodylog.body.kinematic.learn import learn
+from bodylog.body.kinematic.learn import learn_kinematics
 from bodylog.errors import FormatError, LogError
 from bodylog.recording import robot_description
 from bodylog.recording.robot_description import Described
-from bodylog.settings import Fit, Kinematics, Settings
+from bodylog.settings import FitSettings, KinematicsSettings, Settings
 from tests.body.test_kinematic import features, given
 from tests.kinematics.robots import ARM, JOINTS
 
@@ -22,13 +22,13 @@ def log_describes(monkeypatch):
     """log_describes(text): sets the log's robot description."""
 
     def says(text):
-        monkeypatch.setattr(robot_description, "described", lambda *_: Described(text, {}, {}))
+        monkeypatch.setattr(robot_description, "read_robot_description", lambda *_: Described(text, {}, {}))
 
     return says
 
 
 def _robot(**chosen):
-    return robot_model.robot([LOG], [features(5)], Settings(kinematics=Kinematics(**chosen)))
+    return robot_model.find_robot([LOG], [features(5)], Settings(kinematics=KinematicsSettings(**chosen)))
 
 
 def test_robot_uses_the_logs_own_description_unless_turned_off(log_describes):
@@ -37,8 +37,8 @@ def test_robot_uses_the_logs_own_description_unless_turned_off(log_describes):
     assert set(JOINTS) <= set(known.robot.by_name) and not known.asked and warnings == ()
     assert _robot(urdf="log")[0].asked
     assert _robot(use=False) == (None, ())
-    paper = Settings(fit=Fit(preset="paper"))
-    assert robot_model.robot([LOG], [features(5)], paper) == (None, ())
+    paper = Settings(fit=FitSettings(preset="paper"))
+    assert robot_model.find_robot([LOG], [features(5)], paper) == (None, ())
 
 
 def test_robot_prefers_a_named_file(log_describes, tmp_path):
@@ -68,6 +68,6 @@ def test_learn_ignores_an_unrequested_urdf_of_another_robot():
     text = ARM
     for name in JOINTS:
         text = text.replace(f'name="{name}"', f'name="left_{name}"')
-    plain = body.learn([features()], Settings(), {})
-    found = learn([features()], Settings(), plain, replace(given(text), asked=False))
+    plain = body.learn_body([features()], Settings(), {})
+    found = learn_kinematics([features()], Settings(), plain, replace(given(text), asked=False))
     assert found.model is plain.model and "the URDF is not used: joint 'pan' moved" in found.findings[-1].text

@@ -33,10 +33,10 @@ finally:
 IN_C = f"""
 import sqlite3
 from pathlib import Path
-from bodylog.io.atomic_files import replacing
-from bodylog.io.temporary import scratch
+from bodylog.io.atomic_files import replace_atomically
+from bodylog.io.temporary import create_scratch_folder
 place = Path(sys.argv[1])
-with scratch(place) as folder, replacing(place / "out") as beside:
+with create_scratch_folder(place) as folder, replace_atomically(place / "out") as beside:
     (folder / "file").touch()
     beside.write_bytes(b"half")
     {ON}
@@ -46,10 +46,10 @@ with scratch(place) as folder, replacing(place / "out") as beside:
 PRINTED = f"""
 import ctypes
 from pathlib import Path
-from bodylog.io.atomic_files import replacing
-from bodylog.io.temporary import scratch
+from bodylog.io.atomic_files import replace_atomically
+from bodylog.io.temporary import create_scratch_folder
 place = Path(sys.argv[1])
-with scratch(place) as folder, replacing(place / "out") as beside:
+with create_scratch_folder(place) as folder, replace_atomically(place / "out") as beside:
     (folder / "file").touch()
     beside.write_bytes(b"half")
     {ON}

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bodylog.config import load, merge, toml
+from bodylog.config import load_settings, merge_settings, settings_as_toml
 from bodylog.errors import ConfigError
-from bodylog.settings import Colours, Settings, plain, wanted
+from bodylog.settings import ColourSettings, Settings, settings_as_values, list_configured_sources
 from bodylog.sources import (
     DICTIONARIES,
     CharucoSource,
@@ -49,11 +49,11 @@ FEATURES = {
 def test_sources_of_each_kind_round_trip_through_toml(tmp_path) -> None:
     path = tmp_path / "robot.toml"
     path.write_text(GIVEN)
-    settings = load(path)
+    settings = load_settings(path)
     assert settings.features == FEATURES
-    path.write_text(toml(settings))
-    assert load(path).features == FEATURES
-    assert merge(Settings(), json.loads(json.dumps(plain(settings))), "log").features == FEATURES
+    path.write_text(settings_as_toml(settings))
+    assert load_settings(path).features == FEATURES
+    assert merge_settings(Settings(), json.loads(json.dumps(settings_as_values(settings))), "log").features == FEATURES
 
 
 @pytest.mark.parametrize(
@@ -81,23 +81,23 @@ def test_sources_of_each_kind_round_trip_through_toml(tmp_path) -> None:
 )
 def test_invalid_source_is_refused_with_the_possible_values(value, text) -> None:
     with pytest.raises(ConfigError, match=text) as caught:
-        merge(Settings(), {"features": {"it": value}}, "robot.toml")
+        merge_settings(Settings(), {"features": {"it": value}}, "robot.toml")
     assert re.match(r"robot.toml: (unknown key )?features.it", str(caught.value)) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "a.b", "encoders", "touch"])
 def test_reserved_feature_name_is_refused(name) -> None:
     with pytest.raises(ConfigError, match="\\[features\\] names"):
-        merge(Settings(), {"features": {name: "green"}}, "robot.toml")
+        merge_settings(Settings(), {"features": {name: "green"}}, "robot.toml")
 
 
 def test_feature_replaces_colour_and_default_effector() -> None:
-    assert list(wanted(Settings())) == ["effector", "hand"]
+    assert list(list_configured_sources(Settings())) == ["effector", "hand"]
     tagged = Settings(features={"wrist": TagSource(7)})
-    assert wanted(tagged) == {"hand": ColourSource("red"), "wrist": TagSource(7)}
-    blue = replace(tagged, colours=Colours(effector="blue", markers={"elbow": "cyan", "wrist": "red"}))
-    assert wanted(blue)["effector"] == ColourSource("blue") and wanted(blue)["wrist"] == TagSource(7)
-    assert wanted(Settings(features={"effector": TagSource(1)}))["effector"] == TagSource(1)
+    assert list_configured_sources(tagged) == {"hand": ColourSource("red"), "wrist": TagSource(7)}
+    blue = replace(tagged, colours=ColourSettings(effector="blue", markers={"elbow": "cyan", "wrist": "red"}))
+    assert list_configured_sources(blue)["effector"] == ColourSource("blue") and list_configured_sources(blue)["wrist"] == TagSource(7)
+    assert list_configured_sources(Settings(features={"effector": TagSource(1)}))["effector"] == TagSource(1)
 
 
 def test_dictionaries_of_opencv_all_have_a_name() -> None:

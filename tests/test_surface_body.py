@@ -73,7 +73,7 @@ def spoilt(body: Path, member: str, change) -> Path:
 
 
 def test_file_holds_the_body_and_is_the_same_each_time(body):
-    again = storage.load(body)
+    again = storage.load_body(body)
     assert again.surface is not None
     known = surface_body().surface
     assert again.surface.joint_of == known.joint_of
@@ -109,12 +109,12 @@ def test_file_holds_the_body_and_is_the_same_each_time(body):
 )
 def test_hostile_file_is_refused_in_one_line(body, member, change, field):
     with pytest.raises(ModelError, match=field) as problem:
-        storage.load(spoilt(body, member, change))
+        storage.load_body(spoilt(body, member, change))
     assert "\n" not in str(problem.value)
 
 
 def test_calibration_has_pose_lens_rows_and_zeros(body):
-    values = calibration.table(calibration.load(body))
+    values = calibration.calibration_as_values(calibration.load_calibration(body))
     (camera,) = values["cameras"].values()
     np.testing.assert_allclose(camera["xyz_m"], [1.6, 0.0, 0.4], atol=1e-9)
     assert camera["row_time_s"] == pytest.approx(0.03)
@@ -206,4 +206,4 @@ def test_dataset_of_a_real_humanoid_falls_back_to_the_surface(run_cli, tmp_path,
     assert run_cli("fit", f"{G1}#1", "--urdf", G1 / "g1_inspire.urdf", "-o", body) == 0
     told = capsys.readouterr()
     assert "learned by the robot's own surface" in told.out + told.err
-    assert storage.load(body).surface.cameras[0].landmarks is not None
+    assert storage.load_body(body).surface.cameras[0].landmarks is not None

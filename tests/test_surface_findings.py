@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from bodylog import surface_calibration, surface_findings
-from bodylog.delay_findings import Examined
+from bodylog.delay_findings import ExaminedDelays
 from bodylog.errors import ModelError
-from bodylog.settings import Kinematics, Settings
+from bodylog.settings import KinematicsSettings, Settings
 from bodylog.types import Series
 
 FIXTURES = Path(__file__).parents[1] / "fixtures" / "arm"
@@ -20,15 +20,15 @@ UNRELATED = """<robot name="other"><link name="base"/><link name="tip"/><joint n
 <parent link="base"/><child link="tip"/><axis xyz="0 0 1"/></joint></robot>"""
 
 
-def examined(log: Path | str, urdf: Path | str) -> Examined:
-    return surface_findings.examine(Path(log), Settings(kinematics=Kinematics(urdf=str(urdf))))
+def examined(log: Path | str, urdf: Path | str) -> ExaminedDelays:
+    return surface_findings.examine_by_surface(Path(log), Settings(kinematics=KinematicsSettings(urdf=str(urdf))))
 
 
-def scores(found: Examined) -> dict[str, float]:
+def scores(found: ExaminedDelays) -> dict[str, float]:
     return {score.name: score.value for score in found.scores}
 
 
-def accused(found: Examined) -> list[str]:
+def accused(found: ExaminedDelays) -> list[str]:
     return [finding.text for finding in found.findings if finding.severity != "info"]
 
 

@@ -36,7 +36,7 @@ def test_read_refuses_bombs_in_one_line(tmp_path, name):
     path = tmp_path / "robot.toml"
     path.write_bytes(BOMBS[name].encode(errors="surrogatepass"))
     with at_most(calls=5_000_000), pytest.raises(ConfigError, match=r"^.*robot\.toml: [^\n]{1,300}$"):
-        toml_file.read(path)
+        toml_file.read_toml(path)
 
 
 def test_read_reads_ordinary_files(tmp_path):
@@ -51,7 +51,7 @@ def test_read_reads_ordinary_files(tmp_path):
     [estimate.start.x]
     y.z = 1
     """)
-    found = toml_file.read(path)
+    found = toml_file.read_toml(path)
     assert found["topics"]["joints"] == "/a.b.c.d" and found["estimate"]["start"]["x"]["y"] == {"z": 1}
 
 
@@ -64,7 +64,7 @@ def test_read_refuses_a_pipe_without_a_writer(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "robot.toml")
     monkeypatch.setattr(atomic_files, "PATIENCE", 0.2)
     with pytest.raises(ConfigError, match="did not come to its end"):
-        toml_file.read(tmp_path / "robot.toml")
+        toml_file.read_toml(tmp_path / "robot.toml")
 
 
 MANIFESTS = ("pipe", "/dev/zero", "/dev/full", "folder", "bomb")

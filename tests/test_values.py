@@ -13,11 +13,11 @@ from bodylog.io import values
     [(5, 5), (values.LATEST_NS, values.LATEST_NS), (-1, 0), (values.LATEST_NS + 1, 0), (-(2**63), 0), (2**63 - 1, 0)],
 )
 def test_times_out_of_range_become_zero(ns, want):
-    assert values.times(np.array([7, ns])).tolist() == [7, want]
+    assert values.log_times_ns(np.array([7, ns])).tolist() == [7, want]
 
 
 def test_times_beyond_63_bits_become_zero():
-    assert values.times(np.array([1, 2**63, 2**64 - 1], np.uint64)).tolist() == [1, 0, 0]
+    assert values.log_times_ns(np.array([1, 2**63, 2**64 - 1], np.uint64)).tolist() == [1, 0, 0]
 
 
 @pytest.mark.parametrize(
@@ -28,26 +28,26 @@ def test_times_beyond_63_bits_become_zero():
     ],
 )  # fmt: skip
 def test_nanoseconds_out_of_range_are_zero(seconds, rest, want):
-    assert values.nanoseconds(seconds, rest) == want
+    assert values.stamp_ns(seconds, rest) == want
 
 
 @pytest.mark.parametrize("value", [1, -5, 2.5, 2**63 - 1, -(2**63), True])
 def test_number_keeps_64_bits(value):
-    assert values.number(value) == value
+    assert values.number_in_64_bits(value) == value
 
 
 def test_number_turns_larger_ones_into_floats_or_nan():
-    assert values.number(2**64) == 2.0**64
-    assert np.isnan(values.number(10**401))
+    assert values.number_in_64_bits(2**64) == 2.0**64
+    assert np.isnan(values.number_in_64_bits(10**401))
 
 
 @pytest.mark.parametrize("value", ["", "plain", "ünï", "🤖"])
 def test_text_keeps_valid_strings(value):
-    assert values.text(value) == value
+    assert values.encodable_text(value) == value
 
 
 def test_text_escapes_lone_surrogates():
-    assert values.text("a\ud800b").encode() == b"a\\ud800b"
+    assert values.encodable_text("a\ud800b").encode() == b"a\\ud800b"
 
 
 def _nested(depth):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.types import Capabilities, Fault, Health, Score
-from bodylog.verdict import of_batch, of_body, of_estimate
+from bodylog.verdict import verdict_of_batch, verdict_of_body, verdict_of_estimate
 from tests.report.records import JOINTS, estimate
 
 SOUND = estimate(faults=())
@@ -15,7 +15,7 @@ TRUTH = (*TRUTH, Score("coverage_2sigma/joint", 95.9, "%"))
 
 
 def test_verdict_of_a_sound_log_names_no_fault_and_its_error() -> None:
-    assert of_estimate(SOUND, TRUTH) == (
+    assert verdict_of_estimate(SOUND, TRUTH) == (
         f"no fault found in {len(JOINTS)} encoders and effector",
         "error (RMSE) 0.0072 rad (0.413°), raw encoders 0.0196 rad (1.12°); 2σ covers 95.9 % of the truth",
     )
@@ -24,7 +24,7 @@ def test_verdict_of_a_sound_log_names_no_fault_and_its_error() -> None:
 def test_verdict_without_truth_gives_typical_error_bars() -> None:
     typical = 2.0 * np.sqrt(np.median(np.einsum("nii->ni", SOUND.cov)))
     bar = f"± {typical:.3g} rad ({np.degrees(typical):.3g}°)"
-    assert of_estimate(SOUND, ())[-1] == f"no truth to compare with; typical 2σ error bar {bar}"
+    assert verdict_of_estimate(SOUND, ())[-1] == f"no truth to compare with; typical 2σ error bar {bar}"
 
 
 @pytest.mark.parametrize(
@@ -49,28 +49,28 @@ def test_verdict_without_truth_gives_typical_error_bars() -> None:
     ],
 )
 def test_verdict_names_a_fault_first(fault: Fault, text: str) -> None:
-    lines = of_estimate(replace(SOUND, faults=(fault,)), TRUTH)
+    lines = verdict_of_estimate(replace(SOUND, faults=(fault,)), TRUTH)
     assert lines[0] == f"{fault.name}: {text}"
     assert lines[1] == f"no fault found in {len(JOINTS) - 1} encoders and effector"
 
 
 def test_a_moved_board_has_the_displacement_of_its_centre_and_its_turn() -> None:
     moved = Fault("vision", "board", "moved", 0.0, 0.0031, "m", 0.0003, 0.0367, 0.001)
-    lines = of_estimate(replace(SOUND, faults=(moved,)), TRUTH)
+    lines = verdict_of_estimate(replace(SOUND, faults=(moved,)), TRUTH)
     displacement = "board: its centre moved since the body was learned, by 3.1 ± 0.3 mm"
     assert lines[0] == f"{displacement} and turned by 0.0367 ± 0.001 rad (2.1 ± 0.057°)"
 
 
 def test_verdict_admits_ambiguity_between_two_joints() -> None:
     either = " or ".join(JOINTS[:2])
-    lines = of_estimate(replace(SOUND, faults=(Fault("encoders", either, "drifting", 8.8, float("nan"), "rad"),)), ())
+    lines = verdict_of_estimate(replace(SOUND, faults=(Fault("encoders", either, "drifting", 8.8, float("nan"), "rad"),)), ())
     assert lines[0] == f"{either}: encoder drifts since 8.8 s (the log cannot tell which)"
     assert lines[1].startswith(f"no fault found in {len(JOINTS) - 2} encoder")
 
 
 def test_verdict_excludes_tracks_of_a_faulty_camera() -> None:
     moved = Fault("vision", "camera", "displaced", 4.0, 12.0, "px", 1.0)
-    lines = of_estimate(replace(SOUND, faults=(moved,)), ())
+    lines = verdict_of_estimate(replace(SOUND, faults=(moved,)), ())
     assert lines[:2] == (
         "camera: camera moved since 4.0 s, by 12 ± 1 px in the image", f"no fault found in {len(JOINTS)} encoders"
     )  # fmt: skip
@@ -78,27 +78,27 @@ def test_verdict_excludes_tracks_of_a_faulty_camera() -> None:
 
 def test_verdict_stays_short_with_many_faults() -> None:
     many = tuple(Fault("encoders", f"j{k}", "frozen", 1.0, 0.0, "rad") for k in range(9))
-    lines = of_estimate(replace(SOUND, faults=many), TRUTH)
+    lines = verdict_of_estimate(replace(SOUND, faults=many), TRUTH)
     assert len(lines) == 6 and lines[3] == "6 more faults: j3, j4, j5, j6, j7, j8"
 
 
-def test_a_fourth_fault_is_told_as_the_others() -> None:
+def test_a_fourth_fault_is_reported_as_the_others() -> None:
     four = tuple(Fault("encoders", f"j{k}", "frozen", 1.0, 0.0, "rad") for k in range(4))
-    assert of_estimate(replace(SOUND, faults=four), TRUTH)[3] == "j3: encoder is frozen since 1.0 s"
+    assert verdict_of_estimate(replace(SOUND, faults=four), TRUTH)[3] == "j3: encoder is frozen since 1.0 s"
 
 
 def test_delays_are_stated_unless_they_are_tiny() -> None:
     settings = {**SOUND.settings, "delay": {"camera": 0.062, "side": -0.005, "third": 2e-4}}
-    lines = of_estimate(replace(SOUND, settings=settings), ())
+    lines = verdict_of_estimate(replace(SOUND, settings=settings), ())
     assert lines[:2] == ("camera: timestamps are 62 ms late; corrected", "side: timestamps are 5 ms early; corrected")
     assert not any("third" in line for line in lines)
 
 
 def test_verdict_omits_unchecked_faults_from_sound_senses() -> None:
     blind = replace(SOUND, used={"encoders": Health(10, 10), "effector": Health(5, 0)})
-    assert of_estimate(blind, ())[0].endswith("encoders; without images, an encoder offset cannot be found")
+    assert verdict_of_estimate(blind, ())[0].endswith("encoders; without images, an encoder offset cannot be found")
     simple = replace(SOUND, method="kalman", can=Capabilities(repairs=False))
-    assert of_estimate(simple, ())[0].endswith("; kalman does not look for encoder offsets")
+    assert verdict_of_estimate(simple, ())[0].endswith("; kalman does not look for encoder offsets")
 
 
 def test_body_verdict_states_holdout_error_and_sure_offsets() -> None:
@@ -107,13 +107,13 @@ def test_body_verdict_states_holdout_error_and_sure_offsets() -> None:
         Score("offset/pan", 0.035, "rad"), Score("std/offset/pan", 0.002, "rad"),
         Score("offset/lift", 0.001, "rad"), Score("std/offset/lift", 0.002, "rad"),
     )  # fmt: skip
-    assert of_body(("pan", "lift"), scores) == (
+    assert verdict_of_body(("pan", "lift"), scores) == (
         "learned over 2 joints: pan, lift",
         "tip: error 0.39 px on held-out parts of the log; its error bars are 12 % too narrow (NIS 1.30)",
         "pan: zero is off by +0.035 ± 0.002 rad (+2.01 ± 0.11°)",
     )
     rail = (Score("offset/rail", 0.004, "m"), Score("std/offset/rail", 0.001, "m"))
-    assert of_body(("rail",), rail, ("board in hand: 1.0 ± 0.1 mm",)) == (
+    assert verdict_of_body(("rail",), rail, ("board in hand: 1.0 ± 0.1 mm",)) == (
         "learned over 1 joint: rail",
         "board in hand: 1.0 ± 0.1 mm",
         "rail: zero is off by +4 ± 1 mm",
@@ -130,18 +130,18 @@ def test_body_verdict_states_holdout_error_and_sure_offsets() -> None:
 )
 def test_body_verdict_says_how_far_error_bars_are_from_the_errors(nis: float, text: str) -> None:
     scores = Score("rmse/held_out/tip", 0.39, "px"), Score("nis/held_out/tip", nis, "1")
-    assert of_body(("pan",), scores)[1].endswith(f"; {text}")
+    assert verdict_of_body(("pan",), scores)[1].endswith(f"; {text}")
 
 
 def test_body_verdict_names_all_joints_and_those_not_learned() -> None:
     names = tuple(f"j{k}" for k in range(8))
-    (line,) = of_body(names, (), others=("gripper",))
+    (line,) = verdict_of_body(names, (), others=("gripper",))
     assert line == f"learned over 8 joints: {', '.join(names)}; not over gripper; -v says why"
 
 
 def test_batch_verdict_counts_outcomes_and_names_the_worst() -> None:
     ended = (("a", "passed", {"rmse/joint": 0.01}), ("b", "passed", {"rmse/joint": 0.03}), ("c", "unusable", {}))
-    assert of_batch([{"name": name, "status": status, "scores": scores} for name, status, scores in ended]) == (
+    assert verdict_of_batch([{"name": name, "status": status, "scores": scores} for name, status, scores in ended]) == (
         "3 logs: 2 passed, 1 unusable",
         "error (RMSE): median 0.02 rad (1.15°), largest 0.03 rad (1.72°) in b",
     )
@@ -149,7 +149,7 @@ def test_batch_verdict_counts_outcomes_and_names_the_worst() -> None:
 
 def test_verdict_by_the_surface_says_which_offsets_it_would_not_find() -> None:
     settings = {"least_offsets": {JOINTS[0]: {"value": 0.1, "unit": "rad"}, JOINTS[1]: None}}
-    (line,) = [text for text in of_estimate(replace(SOUND, settings=settings), ()) if "no fault found" in text]
+    (line,) = [text for text in verdict_of_estimate(replace(SOUND, settings=settings), ()) if "no fault found" in text]
     assert line.endswith(
         "; error bars hold no offset: "
         f"smaller offsets than {JOINTS[0]} 0.1 rad (5.73°) would not be found; of {JOINTS[1]} none would be found"

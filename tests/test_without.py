@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from bodylog.checks import to_learn
+from bodylog.checks import select_features_to_learn
 from bodylog.errors import ConfigError, ModelError
-from bodylog.robot_model import check
-from bodylog.settings import Fit, Kinematics, Settings
+from bodylog.robot_model import check_urdf
+from bodylog.settings import FitSettings, KinematicsSettings, Settings
 from tests.body.test_boards import features
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM, JOINTS
@@ -35,18 +35,18 @@ def test_excluded_track_is_not_learned(tmp_path, run_cli, capsys):
 
 def test_excluded_feature_drops_its_tracks_and_checks_names():
     one = features(robots.angles(5))
-    (kept,) = to_learn([one], Settings(fit=Fit(without=("board",))))
+    (kept,) = select_features_to_learn([one], Settings(fit=FitSettings(without=("board",))))
     assert not kept.tracks and not kept.boards and one.tracks
     with pytest.raises(ConfigError, match=r"\[fit\] without: found 'bord', possible: board.0, "):
-        to_learn([one], Settings(fit=Fit(without=("bord",))))
+        select_features_to_learn([one], Settings(fit=FitSettings(without=("bord",))))
 
 
 def test_urdf_of_other_joints_is_refused_before_reading_images(tmp_path):
     (tmp_path / "arm.urdf").write_text(ARM)
-    chosen = Settings(kinematics=Kinematics(urdf=str(tmp_path / "arm.urdf")))
-    check([table(tmp_path / "poses.csv")], chosen)
+    chosen = Settings(kinematics=KinematicsSettings(urdf=str(tmp_path / "arm.urdf")))
+    check_urdf([table(tmp_path / "poses.csv")], chosen)
     with pytest.raises(ModelError, match=r"none of the joints of .*other.csv \(a, b, c, d\) is in it; it has"):
-        check([table(tmp_path / "other.csv", "abcd")], chosen)
+        check_urdf([table(tmp_path / "other.csv", "abcd")], chosen)
 
 
 def test_urdf_that_spells_joints_otherwise_is_told(tmp_path, run_cli, capsys):
@@ -57,9 +57,9 @@ def test_urdf_that_spells_joints_otherwise_is_told(tmp_path, run_cli, capsys):
     for joint, other in spelt.items():
         text = text.replace(f'name="{joint}"', f'name="{other}"')
     (tmp_path / "arm.urdf").write_text(text)
-    chosen = Settings(kinematics=Kinematics(urdf=str(tmp_path / "arm.urdf")))
+    chosen = Settings(kinematics=KinematicsSettings(urdf=str(tmp_path / "arm.urdf")))
     log = table(tmp_path / "poses.csv", names)
-    assert "kPan is pan_joint in" in str(check([log], chosen))
+    assert "kPan is pan_joint in" in str(check_urdf([log], chosen))
     assert run_cli("fit", log, "--urdf", tmp_path / "arm.urdf", "-o", tmp_path / "no.npz") == 65
     (line,) = capsys.readouterr().err.splitlines()
     assert "images" in line

@@ -8,21 +8,21 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import FormatError
-from ..io.atomic_files import replacing, sync
-from ..io.outputs import Output, guard
-from ..logs.conversion.transcode import LIBRARY, PROFILE, carry
+from ..io.atomic_files import replace_atomically, sync_to_disk
+from ..io.outputs import Output, guard_outputs
+from ..logs.conversion.transcode import LIBRARY, PROFILE, write_log_messages
 from ..logs.limits import LIMITS, Input
 from ..logs.mcap.encode import MessageTable
 from ..logs.mcap.prefix import NAME, Prefix, reusable_prefix
 from ..logs.mcap.records import is_mcap
-from ..logs.mcap.verification import verify
-from ..logs.mcap.writer import Contents, Writer
+from ..logs.mcap.verification import verify_message_count
+from ..logs.mcap.writer import Contents, McapRecordWriter
 from ..types import Finding, Outgoing
 from .background_copy import Copy
 from .schema_conflicts import rename_conflicting
 
 
-def annotate(
+def annotate_log(
     source: Path,
     outgoing: Sequence[Outgoing],
     metadata: Mapping[str, str],
@@ -35,7 +35,7 @@ def annotate(
     Topics of an earlier run are replaced. Findings name topics not carried over whole. UsageError if `out` is the
     source, LogError if the copy fails verification.
     """
-    with annotating(source, out, whole=only is None) as under_way:
+    with open_annotation(source, out, whole=only is None) as under_way:
         under_way.copy()
         findings = under_way.add(outgoing, only)
         under_way.about(metadata)
@@ -43,22 +43,22 @@ def annotate(
 
 
 @contextmanager
-def annotating(source: Path, out: Path, whole: bool = True, limits: Input = LIMITS) -> Iterator["Annotation"]:
-    """`annotate` in steps: the source is read and, if unchanged, copied while the messages are made.
+def open_annotation(source: Path, out: Path, whole: bool = True, limits: Input = LIMITS) -> Iterator["Annotation"]:
+    """`annotate_log` in steps: the source is read and, if unchanged, copied while the messages are made.
 
-    Call `add` and `about` once each; `copy` may come before, when a core is free: short copies wait for that. An
+    Call `add_topics` and `about` once each; `copy` may come before, when a core is free: short copies wait for that. An
     exception leaves no `out`.
     """
-    guard([source], [Output(out)])
-    with replacing(out) as beside:
-        base = _base(source) if whole else None
+    guard_outputs([source], [Output(out)])
+    with replace_atomically(out) as beside:
+        base = _find_reusable_prefix(source) if whole else None
         with Copy(source) if base is None else Copy(source, beside, base.end) as copy:
             with beside.open("r+b") as stream:
                 under_way = Annotation(source, base, copy, stream, limits)
                 yield under_way
             copy.copied()
-            verify(beside, under_way.messages, out)
-            sync(beside)  # while the rest is digested; what is left to sync then is its name
+            verify_message_count(beside, under_way.messages, out)
+            sync_to_disk(beside)  # while the rest is digested; what is left to sync then is its name
             copy.digest()
 
 
@@ -75,7 +75,7 @@ class Annotation:
         """Write messages after those of the source, or of `only` some topics; returns losses."""
         self._writer, kept, findings = self._behind(only)
         readable, more = rename_conflicting(outgoing, self._writer.contents.schemas.values())
-        add(self._writer, readable)
+        add_topics(self._writer, readable)
         self.messages = kept + sum(len(o.log_ns) for o in outgoing)
         return (*findings, *more)
 
@@ -84,28 +84,28 @@ class Annotation:
         self._writer.about(NAME, metadata)
         self._writer.finish()
 
-    def _behind(self, only: Collection[str] | None) -> tuple[Writer, int, tuple[Finding, ...]]:
+    def _behind(self, only: Collection[str] | None) -> tuple[McapRecordWriter, int, tuple[Finding, ...]]:
         if self._base is None:
-            return carry(self._source, self._stream, only, limits=self._limits)
+            return write_log_messages(self._source, self._stream, only, limits=self._limits)
         end, contents = self._base.end, self._base.contents
         kept = sum(contents.counts.values())
         self._stream.seek(end)
-        return Writer(self._stream, contents, end, self._base.crc), kept, ()
+        return McapRecordWriter(self._stream, contents, end, self._base.crc), kept, ()
 
 
-def write(outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) -> None:
+def write_annotations(outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) -> None:
     """Write an MCAP `out` of the given messages and a metadata record `bodylog`."""
-    with replacing(out) as beside:
+    with replace_atomically(out) as beside:
         with beside.open("wb") as stream:
-            writer = Writer(stream, Contents())
+            writer = McapRecordWriter(stream, Contents())
             writer.begin(PROFILE, LIBRARY)
-            add(writer, outgoing)
+            add_topics(writer, outgoing)
             writer.about(NAME, metadata)
             writer.finish()
-        verify(beside, sum(len(o.log_ns) for o in outgoing), out)
+        verify_message_count(beside, sum(len(o.log_ns) for o in outgoing), out)
 
 
-def add(writer: Writer, outgoing: Sequence[Outgoing], about: Mapping[str, Mapping[str, str]] | None = None) -> None:
+def add_topics(writer: McapRecordWriter, outgoing: Sequence[Outgoing], about: Mapping[str, Mapping[str, str]] | None = None) -> None:
     """Write topics with their messages in order of log time; `about`: metadata of some of them."""
     extra = about or {}
     numbers = [
@@ -113,10 +113,10 @@ def add(writer: Writer, outgoing: Sequence[Outgoing], about: Mapping[str, Mappin
         for o in outgoing
     ]
     if outgoing:
-        writer.write(_table(outgoing, numbers))
+        writer.write(_table_of_outgoing(outgoing, numbers))
 
 
-def _base(source: Path) -> Prefix | None:
+def _find_reusable_prefix(source: Path) -> Prefix | None:
     """The part of `source` that can be kept; None if it must be rewritten."""
     try:
         return reusable_prefix(source) if is_mcap(source) else None
@@ -124,7 +124,7 @@ def _base(source: Path) -> Prefix | None:
         return None
 
 
-def _table(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> MessageTable:
+def _table_of_outgoing(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> MessageTable:
     counts = [len(o.log_ns) for o in outgoing]
     shift = np.cumsum([0, *(o.data.size for o in outgoing)])
     log_ns = np.concatenate([o.log_ns for o in outgoing])

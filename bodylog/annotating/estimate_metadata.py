@@ -12,7 +12,7 @@ from ..logs.mcap.prefix import NAME
 from ..types import Capabilities, Estimate, Finding, Health
 
 
-def describe(estimate: Estimate) -> dict[str, str]:
+def describe_estimate(estimate: Estimate) -> dict[str, str]:
     """The parts of an estimate without a topic, as entries of the metadata record; `read_estimate` reads them."""
     used = {sense: asdict(health) for sense, health in estimate.used.items()}
     findings = [asdict(finding) for finding in estimate.findings]
@@ -26,7 +26,7 @@ def describe(estimate: Estimate) -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Declared:
+class DeclaredEstimate:
     """The parts of an estimate in the metadata record."""
 
     method: str
@@ -36,7 +36,7 @@ class Declared:
     can: Capabilities
 
 
-def _health(found: Health) -> Health:
+def _check_health(found: Health) -> Health:
     """Validate health counts: ValueError for impossible counts, TypeError for what is not a number."""
     counts = (found.seen, found.used, *found.rejected.values())
     if not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts) or not found.largest_gap_s >= 0.0:
@@ -44,28 +44,28 @@ def _health(found: Health) -> Health:
     return found
 
 
-def _finding(found: Finding) -> Finding:
+def _check_finding(found: Finding) -> Finding:
     """Validate a finding; ValueError if its text is not a string."""
     if not isinstance(found.severity, str) or not isinstance(found.text, str):
         raise ValueError("a finding that is not text")
     return found
 
 
-def _capabilities(found: Mapping[str, Any]) -> Capabilities:
+def _check_capabilities(found: Mapping[str, Any]) -> Capabilities:
     if not all(isinstance(value, bool) for value in found.values()):
         raise ValueError(f"can: {found!r}, where each capability is true or false")
     return Capabilities(**found)
 
 
-def declared(path: Path, metadata: Mapping[str, str]) -> Declared:
-    """Read back the entries of `describe`; LogError if they are damaged."""
+def read_declared_estimate(path: Path, metadata: Mapping[str, str]) -> DeclaredEstimate:
+    """Read back the entries of `describe_estimate`; LogError if they are damaged."""
     try:
-        return Declared(
+        return DeclaredEstimate(
             metadata.get("method", ""),
-            {sense: _health(Health(**health)) for sense, health in read_json(metadata.get("used", "{}")).items()},
+            {sense: _check_health(Health(**health)) for sense, health in read_json(metadata.get("used", "{}")).items()},
             dict(read_json(metadata.get("resolved", "{}"))),
-            tuple(_finding(Finding(**finding)) for finding in read_json(metadata.get("findings", "[]"))),
-            _capabilities(read_json(metadata.get("can", "{}"))),
+            tuple(_check_finding(Finding(**finding)) for finding in read_json(metadata.get("findings", "[]"))),
+            _check_capabilities(read_json(metadata.get("can", "{}"))),
         )
     except (ValueError, TypeError, AttributeError) as problem:
         raise LogError(f"{path}: the metadata record {NAME} is damaged ({problem}); {type_again(path)}") from None

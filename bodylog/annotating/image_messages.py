@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import FormatError, LogError
-from ..logs.decode.dynamic import reader
-from ..logs.decode.ros1_to_cdr import converter, known_definition
+from ..logs.decode.dynamic import make_dynamic_reader
+from ..logs.decode.ros1_to_cdr import make_cdr_converter, known_definition
 from ..logs.encode import cdr
 from ..logs.encode.cdr import CdrField
-from ..logs.formats import open_log, payloads
+from ..logs.formats import open_log, payload_views
 from ..logs.images import messages
-from ..logs.topic_names import escape
-from ..types import Array, Frame, Recording, Topic
-from .messages import stamps
+from ..logs.topic_names import escape_topic_name
+from ..types import Array, LazyImage, Recording, Topic
+from .messages import stamps_ns
 
 COMPRESSED, RAW = "/camera/image/compressed", "/camera/image"
 _QUALITY = 95
@@ -43,7 +43,7 @@ class ImageMessage(NamedTuple):
     payload: bytes
 
 
-Frames = Callable[[], Iterator[Frame]]
+Frames = Callable[[], Iterator[LazyImage]]
 _Convert = Callable[[bytes, int], bytes]
 """A payload and its stamp (ns) -> CDR."""
 
@@ -56,69 +56,69 @@ def image_messages(path: Path, recording: Recording, unread: dict[str, list[str]
     """
     films = {"": recording.frames} if recording.frames is not None else {}
     for name, frames in (films | dict(recording.views)).items():
-        under = f"/{escape(name)}" if name else "/camera"
+        under = f"/{escape_topic_name(name)}" if name else "/camera"
         if name and under == "/camera":
             source = recording.roles["camera/camera"]
             raise LogError(f"{path}: two cameras would be written as {RAW}; name {source} first in [topics] camera")
         source = recording.roles.get(f"camera/{name}".strip("/"), "")
         topics = {t.id: t for t in recording.topics if source == t.name or source.startswith(f"{t.name}.")}
         if topics:
-            found = _passed(path, recording, frames, topics, unread)
+            found = _pass_through_images(path, recording, frames, topics, unread)
         else:
-            found = _encoded(recording, frames, source, unread)
+            found = _encode_video_frames(recording, frames, source, unread)
         yield from (image._replace(kind=image.kind.below(under)) for image in found)
 
 
-def _passed(
+def _pass_through_images(
     path: Path, recording: Recording, frames: Frames, topics: Mapping[int, Topic], unread: dict[str, list[str]]
 ) -> Iterator[ImageMessage]:
     accepted: dict[int, deque[float]] = {}
     for frame in frames():
         accepted.setdefault(frame.source_ns, deque()).append(frame.t)
-    carriers = {number: _carrier(topic) for number, topic in topics.items()}
+    carriers = {number: _conversion_of_topic(topic) for number, topic in topics.items()}
     with open_log(path, limits=recording.settings.input) as log:
         for batch in log.batches(list(topics)):
             kind, convert = carriers[batch.topic_id]
-            for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+            for log_ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
                 if times := accepted.get(log_ns):
                     t = times.popleft()
                     try:
-                        converted = convert(bytes(payload), _stamp(t, recording))
+                        converted = convert(bytes(payload), _image_stamp_ns(t, recording))
                     except FormatError as problem:
                         unread.setdefault(topics[batch.topic_id].name, []).append(str(problem))
                         continue
                     yield ImageMessage(kind, t, converted)
 
 
-def _stamp(t: float, recording: Recording) -> int:
-    return int(stamps(np.array(t), recording.start_ns))
+def _image_stamp_ns(t: float, recording: Recording) -> int:
+    return int(stamps_ns(np.array(t), recording.start_ns))
 
 
-def _carrier(topic: Topic) -> tuple[Kind, _Convert]:
+def _conversion_of_topic(topic: Topic) -> tuple[Kind, _Convert]:
     name = COMPRESSED if topic.type in messages.COMPRESSED else RAW
     if topic.encoding == "ros1":
-        convert, definition = converter(topic)
+        convert, definition = make_cdr_converter(topic)
         return Kind(name, topic.type, definition, "ros2msg"), lambda payload, _: bytes(convert(memoryview(payload)))
     if topic.encoding == "cdr":
         definition, form = topic.definition, topic.definition_encoding
         if not definition:
             definition, form = known_definition(topic.type) or b"", "ros2msg"
         return Kind(name, topic.type, definition, form), lambda payload, _: payload
-    read, make = reader(topic), _compressed if name == COMPRESSED else _raw
-    return _ros2(name), lambda payload, stamp: make(read(payload), stamp)
+    read, make = make_dynamic_reader(topic), _compressed_image_bytes if name == COMPRESSED else _raw_image_bytes
+    return _ros2_image_kind(name), lambda payload, stamp: make(read(payload), stamp)
 
 
-def _ros2(name: str) -> Kind:
+def _ros2_image_kind(name: str) -> Kind:
     kind = "sensor_msgs/msg/CompressedImage" if name == COMPRESSED else "sensor_msgs/msg/Image"
     return Kind(name, kind, known_definition(kind) or b"", "ros2msg")
 
 
-def _encoded(
+def _encode_video_frames(
     recording: Recording, frames: Frames, video: str, unread: dict[str, list[str]]
 ) -> Iterator[ImageMessage]:
     import cv2
 
-    kind = _ros2(COMPRESSED)
+    kind = _ros2_image_kind(COMPRESSED)
     for frame in frames():
         try:
             image = frame.image
@@ -129,31 +129,31 @@ def _encoded(
         if not done:
             raise FormatError(f"{recording.name}: the image at {frame.t:.3f} s cannot be written as JPEG")
         message = {"format": "jpeg", "data": jpeg.tobytes()}
-        yield ImageMessage(kind, frame.t, _compressed(message, _stamp(frame.t, recording)))
+        yield ImageMessage(kind, frame.t, _compressed_image_bytes(message, _image_stamp_ns(frame.t, recording)))
 
 
-def _compressed(message: Mapping[str, Any], stamp: int) -> bytes:
-    fields: list[CdrField] = [*_header(message, stamp), ("string", str(message.get("format", ""))), _bytes(message)]
-    return cdr.serialise(1, fields).data.tobytes()
+def _compressed_image_bytes(message: Mapping[str, Any], stamp: int) -> bytes:
+    fields: list[CdrField] = [*_header_fields(message, stamp), ("string", str(message.get("format", ""))), _bytes_field(message)]
+    return cdr.serialise_messages(1, fields).data.tobytes()
 
 
-def _raw(message: Mapping[str, Any], stamp: int) -> bytes:
+def _raw_image_bytes(message: Mapping[str, Any], stamp: int) -> bytes:
     fields: list[CdrField] = [
-        *_header(message, stamp),
-        ("uint32", messages.whole(message, "height")),
-        ("uint32", messages.whole(message, "width")),
+        *_header_fields(message, stamp),
+        ("uint32", messages.image_size_field(message, "height")),
+        ("uint32", messages.image_size_field(message, "width")),
         ("string", str(message.get("encoding", ""))),
         ("uint8", 0),
-        ("uint32", messages.whole(message, "step")),
-        _bytes(message),
+        ("uint32", messages.image_size_field(message, "step")),
+        _bytes_field(message),
     ]
-    return cdr.serialise(1, fields).data.tobytes()
+    return cdr.serialise_messages(1, fields).data.tobytes()
 
 
-def _header(message: Mapping[str, Any], stamp: int) -> list[CdrField]:
-    return cdr.header(np.array([stamp]), str(message.get("frame_id", "")))
+def _header_fields(message: Mapping[str, Any], stamp: int) -> list[CdrField]:
+    return cdr.cdr_header_field(np.array([stamp]), str(message.get("frame_id", "")))
 
 
-def _bytes(message: Mapping[str, Any]) -> CdrField:
-    row: Array = np.frombuffer(messages.content(message), np.uint8)
+def _bytes_field(message: Mapping[str, Any]) -> CdrField:
+    row: Array = np.frombuffer(messages.image_bytes(message), np.uint8)
     return "uint8[]", row[None]

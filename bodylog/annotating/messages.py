@@ -6,8 +6,8 @@ import numpy as np
 
 from ..logs.encode import cdr
 from ..logs.encode.cdr import CdrField, Payloads
-from ..logs.encode.schemas import definition
-from ..logs.topic_names import PREFIX, TRACK, TRACK_NAMES, escape
+from ..logs.encode.schemas import ros2msg_definition
+from ..logs.topic_names import PREFIX, TRACK, TRACK_NAMES, escape_topic_name
 from ..types import Array, Estimate, Fault, Features, Outgoing, Poses, Series, Synchrony, Touch
 from . import image_annotations
 
@@ -21,15 +21,15 @@ PREDICTED_NAMES = (*TRACK_NAMES, "cov_uv")
 
 def from_features(features: Features, start_ns: int) -> list[Outgoing]:
     """Tracks, sightings, strokes, touches and synchrony; the frame_id of image positions is the camera."""
-    out = [from_track(name, track, start_ns, _frame(name, features)) for name, track in features.tracks.items()]
+    out = [from_track(name, track, start_ns, _frame_id_of_track(name, features)) for name, track in features.tracks.items()]
     for name in ("effector", "hand"):
         if name in features.tracks:
-            out.append(_points(PREFIX + name, features.tracks[name], start_ns, _frame(name, features)))
+            out.append(_points_message(PREFIX + name, features.tracks[name], start_ns, _frame_id_of_track(name, features)))
     if features.hand is not None:
-        out.append(_strokes(features, features.hand, start_ns))
+        out.append(_strokes_message(features, features.hand, start_ns))
     if features.touches is not None:
-        out.append(_touches(features.touches, start_ns))
-        out.append(_synchrony(features.synchrony, features.touches, start_ns))
+        out.append(_touches_message(features.touches, start_ns))
+        out.append(_synchrony_message(features.synchrony, features.touches, start_ns))
     return out
 
 
@@ -38,42 +38,42 @@ def from_estimate(estimate: Estimate, features: Features, start_ns: int) -> list
     joints = estimate.joints
     out = [
         from_joints(PREFIX + "joint_states", joints, start_ns, estimate.rate.values),
-        _named(PREFIX + "joint_covariance", "Covariance", joints, estimate.cov.reshape(len(joints.t), -1), start_ns),
-        _scalar(PREFIX + "free_energy", joints, estimate.free_energy, start_ns),
+        _named_vector_message(PREFIX + "joint_covariance", "Covariance", joints, estimate.cov.reshape(len(joints.t), -1), start_ns),
+        _scalar_message(PREFIX + "free_energy", joints, estimate.free_energy, start_ns),
     ]
-    out += [_named(ERROR + escape(sense), "Vector", e, e.values, start_ns) for sense, e in estimate.errors.items()]
+    out += [_named_vector_message(ERROR + escape_topic_name(sense), "Vector", e, e.values, start_ns) for sense, e in estimate.errors.items()]
     if estimate.bias is not None:
-        out.append(_named(PREFIX + "encoder_bias", "Vector", estimate.bias, estimate.bias.values, start_ns))
+        out.append(_named_vector_message(PREFIX + "encoder_bias", "Vector", estimate.bias, estimate.bias.values, start_ns))
     for name, series in estimate.predicted.items():
-        out.append(_predicted(name, series, estimate.predicted_cov.get(name), start_ns, _frame(name, features)))
+        out.append(_predicted_message(name, series, estimate.predicted_cov.get(name), start_ns, _frame_id_of_track(name, features)))
     if (predicted := estimate.predicted.get("effector")) is not None:
-        out.append(_points(PREFIX + "effector_predicted", predicted, start_ns, _frame("effector", features)))
+        out.append(_points_message(PREFIX + "effector_predicted", predicted, start_ns, _frame_id_of_track("effector", features)))
     for name, kinematic in estimate.kinematic.items():
-        out.append(_named(KINEMATIC + escape(name), "Vector", kinematic, kinematic.values, start_ns))
+        out.append(_named_vector_message(KINEMATIC + escape_topic_name(name), "Vector", kinematic, kinematic.values, start_ns))
     if estimate.effector is not None:
-        out.append(_poses(PREFIX + "effector_pose", estimate.effector, start_ns))
+        out.append(_poses_message(PREFIX + "effector_pose", estimate.effector, start_ns))
     if estimate.faults:
-        out.append(_faults(estimate.faults, joints, start_ns))
-    return [*out, *_overlays(estimate, features.tracks, start_ns)]
+        out.append(_faults_message(estimate.faults, joints, start_ns))
+    return [*out, *_overlays_by_camera(estimate, features.tracks, start_ns)]
 
 
-def _camera(name: str) -> str:
+def _camera_of_track(name: str) -> str:
     """The camera of a track camera/feature; "" is the first one."""
     return name.rpartition("/")[0]
 
 
-def _frame(name: str, features: Features) -> str:
+def _frame_id_of_track(name: str, features: Features) -> str:
     """The topic of a track's camera; "" if unknown."""
-    return features.cameras.get(_camera(name), "")
+    return features.cameras.get(_camera_of_track(name), "")
 
 
-def _overlays(estimate: Estimate, tracks: Mapping[str, Series], start_ns: int) -> Iterator[Outgoing]:
-    for camera in sorted({_camera(name) for name in (*tracks, *estimate.predicted)}):
-        seen = {name: track for name, track in tracks.items() if _camera(name) == camera}
-        predicted = {name: series for name, series in estimate.predicted.items() if _camera(name) == camera}
-        times, payloads = image_annotations.annotations(seen, predicted, estimate.predicted_cov, start_ns)
-        topic = "/".join(filter(None, (ANNOTATIONS, escape(camera))))
-        yield _outgoing(topic, "foxglove_msgs/msg/ImageAnnotations", times, payloads)
+def _overlays_by_camera(estimate: Estimate, tracks: Mapping[str, Series], start_ns: int) -> Iterator[Outgoing]:
+    for camera in sorted({_camera_of_track(name) for name in (*tracks, *estimate.predicted)}):
+        seen = {name: track for name, track in tracks.items() if _camera_of_track(name) == camera}
+        predicted = {name: series for name, series in estimate.predicted.items() if _camera_of_track(name) == camera}
+        times, payloads = image_annotations.draw_image_annotations(seen, predicted, estimate.predicted_cov, start_ns)
+        topic = "/".join(filter(None, (ANNOTATIONS, escape_topic_name(camera))))
+        yield _make_outgoing(topic, "foxglove_msgs/msg/ImageAnnotations", times, payloads)
 
 
 def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = None) -> Outgoing:
@@ -81,22 +81,22 @@ def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = 
     # NaN instead of an empty array: pybag cannot read a message that ends in an empty array.
     unknown = np.full(joints.values.shape, np.nan)
     fields: list[CdrField] = [
-        *cdr.header(stamps(joints.t, start_ns)),
+        *cdr.cdr_header_field(stamps_ns(joints.t, start_ns)),
         ("string[]", joints.names),
         ("float64[]", joints.values),
         ("float64[]", unknown if rate is None else rate),
         ("float64[]", unknown),
     ]
-    return _plain(topic, "sensor_msgs/msg/JointState", joints.source_ns, fields)
+    return _serialise_rows(topic, "sensor_msgs/msg/JointState", joints.source_ns, fields)
 
 
 def from_skin(topic: str, skin: Series, start_ns: int) -> Outgoing:
     """Proximity (N,cells) 0..1 as bodylog_msgs/SkinArray."""
-    fields: list[CdrField] = [*cdr.header(stamps(skin.t, start_ns)), ("float32[]", skin.values)]
-    return _plain(topic, "bodylog_msgs/msg/SkinArray", skin.source_ns, fields)
+    fields: list[CdrField] = [*cdr.cdr_header_field(stamps_ns(skin.t, start_ns)), ("float32[]", skin.values)]
+    return _serialise_rows(topic, "bodylog_msgs/msg/SkinArray", skin.source_ns, fields)
 
 
-def stamps(t: Array, start_ns: int) -> Array:
+def stamps_ns(t: Array, start_ns: int) -> Array:
     """Times in s since start_ns as int64 ns since the epoch."""
     return start_ns + np.rint(np.asarray(t, float) * 1e9).astype(np.int64)
 
@@ -105,125 +105,125 @@ def from_track(name: str, track: Series, start_ns: int, frame: str) -> Outgoing:
     """Positions (N,2) px of a track with their standard deviations as bodylog_msgs/Vector."""
     std = np.full_like(track.values, np.nan) if track.std is None else track.std
     data = np.hstack([track.values, std])
-    return _vector(TRACK + escape(name), track, TRACK_NAMES, data, start_ns, frame)
+    return _vector_message(TRACK + escape_topic_name(name), track, TRACK_NAMES, data, start_ns, frame)
 
 
-def _predicted(name: str, series: Series, cov: Array | None, start_ns: int, frame: str) -> Outgoing:
+def _predicted_message(name: str, series: Series, cov: Array | None, start_ns: int, frame: str) -> Outgoing:
     if cov is None:
         variance = np.full((len(series.t), 3), np.nan)
     else:
         variance = np.column_stack([np.sqrt(cov[:, 0, 0]), np.sqrt(cov[:, 1, 1]), cov[:, 0, 1]])
     data = np.hstack([series.values, variance])
-    return _vector(PREDICTED + escape(name), series, PREDICTED_NAMES, data, start_ns, frame)
+    return _vector_message(PREDICTED + escape_topic_name(name), series, PREDICTED_NAMES, data, start_ns, frame)
 
 
-def _points(topic: str, track: Series, start_ns: int, frame: str) -> Outgoing:
+def _points_message(topic: str, track: Series, start_ns: int, frame: str) -> Outgoing:
     seen = np.isfinite(track.values).all(1)
     point = np.column_stack([track.values[seen], np.zeros(seen.sum())])
-    fields: list[CdrField] = [*cdr.header(stamps(track.t[seen], start_ns), frame), ("float64*", point)]
-    return _plain(topic, "geometry_msgs/msg/PointStamped", track.source_ns[seen], fields)
+    fields: list[CdrField] = [*cdr.cdr_header_field(stamps_ns(track.t[seen], start_ns), frame), ("float64*", point)]
+    return _serialise_rows(topic, "geometry_msgs/msg/PointStamped", track.source_ns[seen], fields)
 
 
-def _named(topic: str, kind: str, series: Series, data: Array, start_ns: int) -> Outgoing:
-    return _vector(topic, series, series.names, data, start_ns, "", kind)
+def _named_vector_message(topic: str, kind: str, series: Series, data: Array, start_ns: int) -> Outgoing:
+    return _vector_message(topic, series, series.names, data, start_ns, "", kind)
 
 
-def _vector(
+def _vector_message(
     topic: str, series: Series, names: Sequence[str], data: Array, start_ns: int, frame: str, kind: str = "Vector"
 ) -> Outgoing:
-    fields: list[CdrField] = [*cdr.header(stamps(series.t, start_ns), frame), ("string[]", names), ("float64[]", data)]
-    return _plain(topic, f"bodylog_msgs/msg/{kind}", series.source_ns, fields)
+    fields: list[CdrField] = [*cdr.cdr_header_field(stamps_ns(series.t, start_ns), frame), ("string[]", names), ("float64[]", data)]
+    return _serialise_rows(topic, f"bodylog_msgs/msg/{kind}", series.source_ns, fields)
 
 
-def _scalar(topic: str, series: Series, data: Array, start_ns: int) -> Outgoing:
-    fields: list[CdrField] = [*cdr.header(stamps(series.t, start_ns)), ("float64", data)]
-    return _plain(topic, "bodylog_msgs/msg/Scalar", series.source_ns, fields)
+def _scalar_message(topic: str, series: Series, data: Array, start_ns: int) -> Outgoing:
+    fields: list[CdrField] = [*cdr.cdr_header_field(stamps_ns(series.t, start_ns)), ("float64", data)]
+    return _serialise_rows(topic, "bodylog_msgs/msg/Scalar", series.source_ns, fields)
 
 
-def _poses(topic: str, poses: Poses, start_ns: int) -> Outgoing:
+def _poses_message(topic: str, poses: Poses, start_ns: int) -> Outgoing:
     """Poses with their covariance, rows and columns in ROS's order: x, y, z, rotations about x, y, z."""
     count = len(poses.t)
     cov = np.zeros((count, 36)) if poses.cov is None else poses.cov.reshape(count, 36)
     fields: list[CdrField] = [
-        *cdr.header(stamps(poses.t, start_ns), poses.frame),
+        *cdr.cdr_header_field(stamps_ns(poses.t, start_ns), poses.frame),
         ("float64*", np.column_stack([poses.place, poses.turn, cov])),
     ]
-    return _plain(topic, POSE, poses.source_ns, fields)
+    return _serialise_rows(topic, POSE, poses.source_ns, fields)
 
 
-def _strokes(features: Features, hand: Series, start_ns: int) -> Outgoing:
+def _strokes_message(features: Features, hand: Series, start_ns: int) -> Outgoing:
     """Strokes with the delay of the paired touch, each logged at the image in which it began."""
     delays = {pair.stroke: pair.delay for pair in features.synchrony}
     start, end = (np.array([getattr(s, side) for s in features.strokes], float) for side in ("start", "end"))
-    start_stamps = stamps(start, start_ns)
+    start_stamps = stamps_ns(start, start_ns)
     places = [(*s.start_px, 0.0, *s.end_px, 0.0) for s in features.strokes]
     fields: list[CdrField] = [
-        *cdr.header(start_stamps, _frame("hand", features)),
-        *cdr.time(stamps(end, start_ns) - start_stamps),
+        *cdr.cdr_header_field(start_stamps, _frame_id_of_track("hand", features)),
+        *cdr.cdr_time_field(stamps_ns(end, start_ns) - start_stamps),
         ("float64*", np.array(places).reshape(-1, 6)),
         ("float64", np.array([delays.get(number, np.nan) for number in range(len(start_stamps))])),
     ]
     pictures = np.maximum(np.searchsorted(hand.t, start, "right") - 1, 0)
-    return _plain(PREFIX + "stroke", "bodylog_msgs/msg/Stroke", hand.source_ns[pictures], fields)
+    return _serialise_rows(PREFIX + "stroke", "bodylog_msgs/msg/Stroke", hand.source_ns[pictures], fields)
 
 
-def _touches(touches: Sequence[Touch], start_ns: int) -> Outgoing:
+def _touches_message(touches: Sequence[Touch], start_ns: int) -> Outgoing:
     parts = []
     for i, touch in enumerate(touches):
-        onset, offset = stamps(np.array([[touch.onset], [touch.offset]]), start_ns)
+        onset, offset = stamps_ns(np.array([[touch.onset], [touch.offset]]), start_ns)
         cells = [touch.strongest, *(cell for cell in touch.cells if cell != touch.strongest)]
         fields: list[CdrField] = [
-            *cdr.header(onset),
-            *cdr.time(offset - onset),
+            *cdr.cdr_header_field(onset),
+            *cdr.cdr_time_field(offset - onset),
             ("int32[]", np.array([cells])),
             ("float32", touch.peak),
         ]
-        parts.append((np.array([i]), cdr.serialise(1, fields)))
+        parts.append((np.array([i]), cdr.serialise_messages(1, fields)))
     times = np.array([touch.source_ns for touch in touches], np.int64)
-    return _outgoing(PREFIX + "touch", "bodylog_msgs/msg/Touch", times, cdr.merge(parts, len(touches)))
+    return _make_outgoing(PREFIX + "touch", "bodylog_msgs/msg/Touch", times, cdr.merge_payloads(parts, len(touches)))
 
 
-def _synchrony(synchrony: Sequence[Synchrony], touches: Sequence[Touch], start_ns: int) -> Outgoing:
+def _synchrony_message(synchrony: Sequence[Synchrony], touches: Sequence[Touch], start_ns: int) -> Outgoing:
     caused = [touches[s.touch] for s in synchrony]
     fields: list[CdrField] = [
-        *cdr.header(stamps(np.array([touch.onset for touch in caused]), start_ns)),
+        *cdr.cdr_header_field(stamps_ns(np.array([touch.onset for touch in caused]), start_ns)),
         ("float64", np.array([s.delay for s in synchrony])),
         ("float64", np.array([s.weight for s in synchrony])),
     ]
     times = np.array([touch.source_ns for touch in caused], np.int64)
-    return _plain(PREFIX + "synchrony", "bodylog_msgs/msg/Synchrony", times, fields)
+    return _serialise_rows(PREFIX + "synchrony", "bodylog_msgs/msg/Synchrony", times, fields)
 
 
-def _faults(faults: Sequence[Fault], joints: Series, start_ns: int) -> Outgoing:
+def _faults_message(faults: Sequence[Fault], joints: Series, start_ns: int) -> Outgoing:
     parts = []
     for i, fault in enumerate(faults):
         fields: list[CdrField] = [
-            *cdr.header(stamps(np.array([fault.since]), start_ns)),
+            *cdr.cdr_header_field(stamps_ns(np.array([fault.since]), start_ns)),
             ("string", fault.sense),
             ("string", fault.name),
             ("string", fault.kind),
             ("float64", fault.size),
             ("string", fault.unit),
-            *(("float64", np.nan if v is None else v) for v in _doubts(fault)),
+            *(("float64", np.nan if v is None else v) for v in _optional_fault_fields(fault)),
         ]
-        parts.append((np.array([i]), cdr.serialise(1, fields)))
+        parts.append((np.array([i]), cdr.serialise_messages(1, fields)))
     last = np.searchsorted(joints.t, [fault.since for fault in faults], "right") - 1
     times = joints.source_ns[np.maximum(last, 0)]
-    return _outgoing(PREFIX + "faults", "bodylog_msgs/msg/Fault", times, cdr.merge(parts, len(faults)))
+    return _make_outgoing(PREFIX + "faults", "bodylog_msgs/msg/Fault", times, cdr.merge_payloads(parts, len(faults)))
 
 
-def _doubts(fault: Fault) -> tuple[float | None, ...]:
+def _optional_fault_fields(fault: Fault) -> tuple[float | None, ...]:
     """What may be unknown of a fault, in the order of its message."""
     return fault.std, fault.turn, fault.turn_std, fault.until
 
 
-def _plain(topic: str, kind: str, log_ns: Array, fields: Sequence[CdrField]) -> Outgoing:
-    return _outgoing(topic, kind, log_ns, cdr.serialise(len(log_ns), fields))
+def _serialise_rows(topic: str, kind: str, log_ns: Array, fields: Sequence[CdrField]) -> Outgoing:
+    return _make_outgoing(topic, kind, log_ns, cdr.serialise_messages(len(log_ns), fields))
 
 
-def _outgoing(topic: str, kind: str, log_ns: Array, payloads: Payloads) -> Outgoing:
+def _make_outgoing(topic: str, kind: str, log_ns: Array, payloads: Payloads) -> Outgoing:
     log_ns = np.asarray(log_ns, np.int64)
     order = np.argsort(log_ns, kind="stable")
     return Outgoing(
-        topic, kind, definition(kind), log_ns[order], payloads.data, payloads.offset[order], payloads.length[order]
+        topic, kind, ros2msg_definition(kind), log_ns[order], payloads.data, payloads.offset[order], payloads.length[order]
     )

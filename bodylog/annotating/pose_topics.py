@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..logs.decode.columns import columns
-from ..logs.decode.parts import Columns
+from ..logs.decode.columns import read_topic_columns
+from ..logs.decode.parts import TopicColumns
 from ..logs.formats import open_log
 from ..types import Poses
 
@@ -24,10 +24,10 @@ def true_poses(path: Path, start_ns: int) -> Poses | None:
     """The effector's true poses in a log, t in s since `start_ns`; None without any."""
     with open_log(path) as log:
         topic = next((topic for topic in log.topics if topic.name == TRUTH and topic.type in _FIELDS), None)
-        return None if topic is None else poses(columns(log, topic, _FIELDS[topic.type]), start_ns)
+        return None if topic is None else poses_from_columns(read_topic_columns(log, topic, _FIELDS[topic.type]), start_ns)
 
 
-def poses(found: Columns, start_ns: int) -> Poses | None:
+def poses_from_columns(found: TopicColumns, start_ns: int) -> Poses | None:
     """The poses of a topic in order of t, without rows that are not numbers; None without any."""
     rows, covs, stamps, logged, frames = [], [], [], [], list[str]()
     for part in found.parts:

@@ -14,9 +14,9 @@ from ..logs.formats import open_log
 from ..logs.mcap import opcodes as op
 from ..logs.mcap.prefix import NAME
 from ..logs.mcap.record_file import RecordFile
-from ..logs.mcap.records import HEAD, parse
+from ..logs.mcap.records import HEAD, parse_record
 from ..logs.protocol import Log
-from ..logs.topic_names import PREFIX, TRACK, TRACK_NAMES, unescape
+from ..logs.topic_names import PREFIX, TRACK, TRACK_NAMES, unescape_topic_name
 from ..types import (
     Array,
     Estimate,
@@ -30,9 +30,9 @@ from ..types import (
     Topic,
     Touch,
 )  # fmt: skip
-from .estimate_metadata import declared, type_again
+from .estimate_metadata import read_declared_estimate, type_again
 from .messages import ERROR, KINEMATIC, POSE, PREDICTED, PREDICTED_NAMES
-from .pose_topics import POSED, poses
+from .pose_topics import POSED, poses_from_columns
 
 _VECTOR = ("header.stamp", "names", "data")
 _FIELDS: Mapping[str, tuple[str, ...]] = {
@@ -53,7 +53,7 @@ FAULT_DOUBTS = ("std", "turn", "turn_std", "until")
 """Fields of a fault that are NaN where they are not known; the oldest files have none of them."""
 
 
-def _fields(topic: Topic) -> tuple[str, ...]:
+def _fields_of_annotation(topic: Topic) -> tuple[str, ...]:
     """The fields of a topic; older faults lack some."""
     fields = _FIELDS[topic.type]
     if topic.type.endswith("/Fault"):
@@ -69,7 +69,7 @@ def read_metadata(path: Path) -> dict[str, str]:
             listed = [r.fields for r, _ in summary if r.opcode == op.METADATA_INDEX and r.fields["name"] == NAME]
             if listed:
                 record = memoryview(file.read(listed[-1]["offset"], listed[-1]["length"]))
-                return dict(parse(op.METADATA, record[HEAD.size :]).fields["metadata"])
+                return dict(parse_record(op.METADATA, record[HEAD.size :]).fields["metadata"])
     except (FormatError, OSError):
         pass  # not a whole MCAP, so not one that bodylog wrote
     raise LogError(f"{path}: no estimate in it, unless its end was cut off; {type_again(path)}")
@@ -78,7 +78,7 @@ def read_metadata(path: Path) -> dict[str, str]:
 def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
     """The estimate in an annotated MCAP, t in s since `start_ns` (None: the log's own); LogError without one."""
     with open_log(path) as log:
-        stored = declared(path, read_metadata(path))
+        stored = read_declared_estimate(path, read_metadata(path))
         table = _Table(log, log.start_ns if start_ns is None else start_ns, path)
     joints, rate = table.joints()
     size = len(joints.names)
@@ -109,7 +109,7 @@ def read_features(log: Log, start_ns: int) -> Features | None:
     if not any(name.startswith(TRACK) or name == PREFIX + "touch" for name in names):
         return None
     table = _Table(log, start_ns, log.path)
-    tracks = {name: _track(series) for name, series in table.tracks().items()}
+    tracks = {name: _track_from_vector(series) for name, series in table.tracks().items()}
     touches = table.touches() if PREFIX + "touch" in names else None
     strokes, paired = table.strokes()
     pairs = table.synchrony(touches or (), paired)
@@ -123,7 +123,7 @@ class _Table:
     def __init__(self, log: Log, start_ns: int, path: Path) -> None:
         topics = {t.id: t for t in log.topics if t.name.startswith(PREFIX) and t.type in _FIELDS}
         try:
-            found = columns_of(log, {number: (topic, _fields(topic)) for number, topic in topics.items()})
+            found = columns_of(log, {number: (topic, _fields_of_annotation(topic)) for number, topic in topics.items()})
         except (ConfigError, FormatError) as problem:
             raise FormatError(f"{path}: {problem}") from None
         self.columns = {topics[number].name: columns for number, columns in found.items()}
@@ -148,7 +148,7 @@ class _Table:
     def under(self, prefix: str, unit: str) -> dict[str, Series]:
         """All vector topics under a prefix, by the rest of their names."""
         names = [topic for topic in self.columns if topic.startswith(prefix)]
-        return {unescape(name[len(prefix) :]): s for name in names if (s := self.series(name, unit)) is not None}
+        return {unescape_topic_name(name[len(prefix) :]): s for name in names if (s := self.series(name, unit)) is not None}
 
     def tracks(self) -> dict[str, Series]:
         """The tracks: u, v and their standard deviations (N,4) px."""
@@ -174,7 +174,7 @@ class _Table:
         for name, found in self.under(PREDICTED, "px").items():
             if len(found.names) != len(PREDICTED_NAMES):
                 raise self._unfit(PREDICTED + name, f"{len(found.names)} names, not {len(PREDICTED_NAMES)}")
-            series[name] = _track(found)
+            series[name] = _track_from_vector(found)
             std, between = found.values[:, 2:4], found.values[:, 4]
             with np.errstate(over="ignore"):  # an absurd error bar of a spoilt log is infinite
                 rows = np.column_stack([std[:, 0] ** 2, between, between, std[:, 1] ** 2])
@@ -197,7 +197,7 @@ class _Table:
     def cameras(self) -> dict[str, str]:
         """The image topics of the tracks, by camera name."""
         named = ((topic, part) for topic in self.columns if topic.startswith(TRACK) for part, _ in self._parts(topic))
-        found = {unescape(topic[len(TRACK) :]).rpartition("/")[0]: part[-1][0] for topic, part in named}
+        found = {unescape_topic_name(topic[len(TRACK) :]).rpartition("/")[0]: part[-1][0] for topic, part in named}
         return {name: camera for name, camera in sorted(found.items()) if camera}
 
     def strokes(self) -> tuple[tuple[Stroke, ...], Iterator[int]]:
@@ -228,8 +228,8 @@ class _Table:
         """Faults in order of onset."""
         found = []
         for (stamp, sense, name, kind, size, unit, *more), _ in self._parts(PREFIX + "faults"):
-            doubts = np.stack([*more, *(np.full(len(size), np.nan) for _ in FAULT_DOUBTS[len(more) :])], axis=1)
-            for since, amount, row in zip((stamp - self.start_ns) / 1e9, size, doubts.tolist(), strict=True):
+            fault_scores = np.stack([*more, *(np.full(len(size), np.nan) for _ in FAULT_DOUBTS[len(more) :])], axis=1)
+            for since, amount, row in zip((stamp - self.start_ns) / 1e9, size, fault_scores.tolist(), strict=True):
                 known = (None if value != value else value for value in row)
                 found.append(Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0], *known))
         return tuple(sorted(found, key=lambda fault: (fault.since, fault.sense, fault.name)))
@@ -237,7 +237,7 @@ class _Table:
     def effector(self) -> Poses | None:
         """The effector's poses in the base, or None without any."""
         columns = self.columns.get(PREFIX + "effector_pose")
-        return None if columns is None else poses(columns, self.start_ns)
+        return None if columns is None else poses_from_columns(columns, self.start_ns)
 
     def _unfit(self, topic: str, found: str) -> LogError:
         return LogError(f"{self.path}: {topic}: {found}; {type_again(self.path)}")
@@ -249,7 +249,7 @@ class _Table:
     def _rows(self, topic: str) -> tuple[Array, Array, tuple[Any, ...]]:
         """t (N,), log times (N,) and the other fields of a topic with constant names, in order of t."""
         if topic not in self.columns:
-            raise _absent(self.path)
+            raise _no_estimate_error(self.path)
         parts = self._parts(topic)
         if len(parts) != 1:
             raise LogError(f"{self.path}: {topic} has {len(parts)} sets of names, not 1; {type_again(self.path)}")
@@ -259,12 +259,12 @@ class _Table:
         return (stamp[order] - self.start_ns) / 1e9, log_ns[order], sorted_values
 
 
-def _track(found: Series) -> Series:
+def _track_from_vector(found: Series) -> Series:
     """u, v (N,2) px and their standard deviations from a vector topic; unknown ones are None."""
     std = found.values[:, 2:4]
     known = std if np.isfinite(std).any() else None
     return Series(found.t, found.values[:, :2], ("u", "v"), "px", found.source_ns, known)
 
 
-def _absent(path: Path) -> LogError:
+def _no_estimate_error(path: Path) -> LogError:
     return LogError(f"{path}: no {PREFIX} topics of an estimate; {type_again(path)}")

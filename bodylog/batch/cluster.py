@@ -14,16 +14,16 @@ if TYPE_CHECKING:
 TRIES = 3
 
 
-def run(jobs: Sequence[Job], scheduler: str, workers: int) -> Iterator[Row]:
+def run_on_cluster(jobs: Sequence[Job], scheduler: str, workers: int) -> Iterator[Row]:
     """Rows as they finish; a job whose worker is lost is given to another. `scheduler`: tcp://host:port, or local."""
-    client = _client(scheduler, workers)
+    client = _open_client(scheduler, workers)
     try:
-        yield from _gather(client, jobs)
+        yield from _gather_rows(client, jobs)
     finally:
         client.close()
 
 
-def _client(scheduler: str, workers: int) -> "Client":
+def _open_client(scheduler: str, workers: int) -> "Client":
     try:
         import dask
 
@@ -40,22 +40,22 @@ def _client(scheduler: str, workers: int) -> "Client":
         raise UsageError(f"--scheduler {scheduler}: no scheduler answers; type: tcp://HOST:PORT or local") from err
 
 
-def do(job: Job) -> Row:
+def run_job_on_worker(job: Job) -> Row:
     """Run one job on a worker. The allocator keeps freed memory, which Dask otherwise has workers return at once."""
     import cv2
 
     malloc.tune_malloc()
     cv2.setNumThreads(1)
-    return work.run(job)
+    return work.run_job(job)
 
 
-def _gather(client: "Client", jobs: Sequence[Job]) -> Iterator[Row]:
+def _gather_rows(client: "Client", jobs: Sequence[Job]) -> Iterator[Row]:
     from distributed import as_completed
 
     # pure=False: a job writes files, so an equal call is not redundant
-    futures = {client.submit(do, job, pure=False, retries=TRIES): job for job in jobs}
+    futures = {client.submit(run_job_on_worker, job, pure=False, retries=TRIES): job for job in jobs}
     for future in as_completed(list(futures)):
         if future.status == "finished":
             yield future.result()
         else:
-            yield work.died(futures[future], f"lost with its workers: {future.exception()!r}")
+            yield work.write_died_row(futures[future], f"lost with its workers: {future.exception()!r}")

@@ -9,17 +9,17 @@ from typing import Any
 from ..errors import UsageError
 from ..evaluation import bounds as score_bounds
 from ..io import episodes, remote
-from ..io.atomic_files import replacing
-from ..io.outputs import Output, guard
-from ..io.temporary import scratch
+from ..io.atomic_files import replace_atomically
+from ..io.outputs import Output, guard_outputs
+from ..io.temporary import create_scratch_folder
 from ..io.values import read_json
 from ..settings import Settings
-from . import Group, Plan, Report, batch, exit_code, folders, jobs
+from . import Group, BatchPlan, Report, run_batch, exit_code, folders, jobs
 from .jobs import Row
 
 
 @dataclass(frozen=True)
-class Examined:
+class ExaminedDataset:
     """A dataset examined: the rows of its episodes, the row of the whole, and the exit code."""
 
     rows: tuple[Row, ...]
@@ -27,24 +27,24 @@ class Examined:
     code: int
 
 
-def is_dataset(log: Path | str) -> bool:
+def holds_several_logs(log: Path | str) -> bool:
     """Whether a path holds several logs: a dataset's folder, a folder of logs, or a file of several
     episodes."""
     from ..logs.datasets import kinds
 
-    if not isinstance(log, Path) or episodes.split(log)[1] is not None or not log.exists():
+    if not isinstance(log, Path) or episodes.split_episode_name(log)[1] is not None or not log.exists():
         return False
     if log.is_dir():
-        return kinds.is_dataset(log) or (kinds.of_folder(log) is None and not jobs.is_rosbag2(log))
-    return len(kinds.numbers(log)) > 1
+        return kinds.is_episode_dataset(log) or (kinds.of_folder(log) is None and not jobs.is_rosbag2(log))
+    return len(kinds.episode_numbers(log)) > 1
 
 
 def chosen_episodes(
     logs: Sequence[Path | str], begin: int | None, end: int | None
 ) -> tuple[str, ...]:
     """The logs in a dataset, in order; of numbered episodes those from `begin` to before `end`."""
-    found = [log for given in logs for log in jobs.find(str(given))]
-    numbers = [None if remote.is_url(log) else episodes.split(Path(log))[1] for log in found]
+    found = [log for given in logs for log in jobs.find_logs(str(given))]
+    numbers = [None if remote.is_url(log) else episodes.split_episode_name(Path(log))[1] for log in found]
     if begin is None and end is None:
         return tuple(found)
     if all(number is None for number in numbers):
@@ -63,7 +63,7 @@ def chosen_episodes(
     return chosen
 
 
-def examine(plan: Plan, report: Report | None, page: Path | None, table: Path | None) -> Examined:
+def examine_dataset(plan: BatchPlan, report: Report | None, page: Path | None, table: Path | None) -> ExaminedDataset:
     """Examine all episodes of a plan; `page` and `table` are files to write beside plan.out."""
     from ..dataset import outputs
 
@@ -73,17 +73,17 @@ def examine(plan: Plan, report: Report | None, page: Path | None, table: Path | 
         if path is not None
     ]
     bases = [Path(log) for group in plan.groups for log in group.logs if not remote.is_url(log)]
-    guard([*plan.inputs, *bases], files)
-    rows = batch(plan, report)
+    guard_outputs([*plan.inputs, *bases], files)
+    rows = run_batch(plan, report)
     whole = read_json((plan.out / folders.DATASET).read_text(encoding="utf-8"))
     if page is not None:
         text = (plan.out / folders.PAGE).read_text(encoding="utf-8")
-        with replacing(page) as beside:
+        with replace_atomically(page) as beside:
             beside.write_text(text, encoding="utf-8")
     if table is not None:
         outputs.write_table(rows, table)
     _require_measured(plan, rows, whole)
-    return Examined(tuple(rows), whole, exit_code([*rows, whole]))
+    return ExaminedDataset(tuple(rows), whole, exit_code([*rows, whole]))
 
 
 def fix_dataset(
@@ -100,35 +100,35 @@ def fix_dataset(
     from ..recording.lerobot_writer import new_folder
 
     new_folder(out)
-    guard([dataset], [Output(out, folder=True)])
-    with scratch() as folder:
-        logs = tuple(jobs.find(str(dataset)))
+    guard_outputs([dataset], [Output(out, folder=True)])
+    with create_scratch_folder() as folder:
+        logs = tuple(jobs.find_logs(str(dataset)))
         group = Group("", logs, settings, task=jobs.EXAMINE)
         rows_folder = folder / "rows" if checked is None else checked
-        plan = Plan((group,), rows_folder, workers, resume=checked is not None, keep_going=True)
-        rows = batch(plan, report)
+        plan = BatchPlan((group,), rows_folder, workers, resume=checked is not None, keep_going=True)
+        rows = run_batch(plan, report)
         judged = outputs.judge_dataset(rows_folder, rows)
     base, chosen = remedies.choose_remedies(judged, settings, exclude)
     return corrected_files.write_corrected(base, chosen, out, repeats, settings)
 
 
 def examine_without_folder(
-    plan: Plan, report: Report | None, page: Path | None, table: Path | None
-) -> Examined:
-    """As `examine`; the rows' folder is temporary."""
-    with scratch() as folder:
-        return examine(replace(plan, out=folder / "rows"), report, page, table)
+    plan: BatchPlan, report: Report | None, page: Path | None, table: Path | None
+) -> ExaminedDataset:
+    """As `examine_dataset`; the rows' folder is temporary."""
+    with create_scratch_folder() as folder:
+        return examine_dataset(replace(plan, out=folder / "rows"), report, page, table)
 
 
-def _require_measured(plan: Plan, rows: Sequence[Row], whole: dict[str, Any]) -> None:
+def _require_measured(plan: BatchPlan, rows: Sequence[Row], whole: dict[str, Any]) -> None:
     """UsageError for a bound that names no figure of any episode nor of the whole."""
     from ..types import Score
 
     names = {name for row in (*rows, whole) for name in row["scores"]}
     figures = [Score(name, 0.0, "") for name in sorted(names)]
     for text in dict.fromkeys(text for group in plan.groups for text in group.bounds):
-        bound = score_bounds.parse(text)
-        if not score_bounds.measured(figures, [bound]):
+        bound = score_bounds.parse_bound(text)
+        if not score_bounds.select_measured_bounds(figures, [bound]):
             possible = ", ".join(sorted({name.partition("/")[0] for name in names}))
             raise UsageError(
                 f"--fail-if {text!r}: no episode has this score; measured were {possible}"

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..errors import BodylogError, LogError, UsageError
 from ..io import episodes, remote
-from ..io.outputs import Key, key
+from ..io.outputs import Key, path_identity
 from ..settings import Settings
 from . import folders
 
@@ -51,16 +51,16 @@ class Job:
     task: str = ESTIMATE
 
 
-def named(logs: Sequence[str], wait_s: float = remote.WAIT_S) -> dict[str, str]:
+def name_logs(logs: Sequence[str], wait_s: float = remote.WAIT_S) -> dict[str, str]:
     """The logs by name, in path order; LogError if there is no log, or no answer of a server within `wait_s`."""
-    found = sorted({log for given in logs for log in find(given, wait_s)})
+    found = sorted({log for given in logs for log in find_logs(given, wait_s)})
     if not found:
         raise LogError(f"{', '.join(logs)}: no log in there; logs end in {', '.join(SUFFIXES)}")
-    names = folders.named({log: _file_name(log) for log in found})
+    names = folders.name_folders({log: _file_name(log) for log in found})
     return {names[log]: log for log in found}
 
 
-def share(names: Iterable[str], shard: tuple[int, int]) -> tuple[str, ...]:
+def select_shard(names: Iterable[str], shard: tuple[int, int]) -> tuple[str, ...]:
     """The names of this shard (I, N): every N-th, from the I-th; UsageError for an impossible shard."""
     index, count = shard
     if not 1 <= index <= count:
@@ -68,36 +68,36 @@ def share(names: Iterable[str], shard: tuple[int, int]) -> tuple[str, ...]:
     return tuple(names)[index - 1 :: count]
 
 
-def find(given: str, wait_s: float = remote.WAIT_S) -> Iterator[str]:
+def find_logs(given: str, wait_s: float = remote.WAIT_S) -> Iterator[str]:
     """The logs of a file, a folder (searched recursively), a pattern or a URL; LogError if there is no log.
 
     Results of a batch are skipped unless they are named.
     """
     if remote.is_url(given):
-        yield from remote.expand(given, SUFFIXES, wait_s)
+        yield from remote.expand_url(given, SUFFIXES, wait_s)
         return
-    if not Path(given).exists() and (some := episodes.expanded(Path(given))) and episodes.split(some[0])[1] is not None:
+    if not Path(given).exists() and (some := episodes.expand_episode_range(Path(given))) and episodes.split_episode_name(some[0])[1] is not None:
         yield from map(str, some)
         return
-    paths = [Path(given)] if Path(given).exists() else _matches(given)
+    paths = [Path(given)] if Path(given).exists() else _match_pattern(given)
     if not paths:
         raise LogError(f"{given}: no such file, folder or pattern; type: ls {given}")
     for path in paths:
-        yield from map(str, _inside(path) if path.is_dir() else _episodes(path))
+        yield from map(str, _find_logs_in_folder(path) if path.is_dir() else _list_episodes(path))
 
 
-def _episodes(path: Path) -> list[Path]:
+def _list_episodes(path: Path) -> list[Path]:
     """The episodes of a dataset that has several; otherwise the path, also of a dataset that cannot be read."""
     from ..logs.datasets import kinds
 
     try:
-        numbers = kinds.numbers(path)
+        numbers = kinds.episode_numbers(path)
     except (BodylogError, OSError):
         return [path]
-    return [episodes.named(path, number) for number in numbers] or [path]
+    return [episodes.name_episode(path, number) for number in numbers] or [path]
 
 
-def _matches(pattern: str) -> list[Path]:
+def _match_pattern(pattern: str) -> list[Path]:
     """The paths that match a pattern, without results of batches; UsageError if there are too many."""
     if re.search(r"[*?\[].*/\.\.(/|$)", pattern):
         raise UsageError(f"{pattern}: a pattern goes back (..) after a wildcard; name the folders to search instead")
@@ -111,7 +111,7 @@ def _matches(pattern: str) -> list[Path]:
     return [path for path in map(Path, sorted(matches)) if not folders.is_result(path.parent)]
 
 
-def _inside(folder: Path) -> Iterator[Path]:
+def _find_logs_in_folder(folder: Path) -> Iterator[Path]:
     """The logs in a folder, in path order, each folder once despite links; UsageError if there are too many folders."""
     from ..logs.datasets import kinds
 
@@ -119,15 +119,15 @@ def _inside(folder: Path) -> Iterator[Path]:
     while left:
         path = left.pop()
         if not path.is_dir():
-            yield from _episodes(path)
+            yield from _list_episodes(path)
             continue
-        if (found := key(path)) in seen or folders.is_result(path):
+        if (found := path_identity(path)) in seen or folders.is_result(path):
             continue
         seen.add(found)
         if len(seen) > MOST:
             raise UsageError(f"{folder}: more than {MOST} folders are in it; name folders nearer to the logs")
-        if is_rosbag2(path) or kinds.is_dataset(path):
-            yield from _episodes(path)
+        if is_rosbag2(path) or kinds.is_episode_dataset(path):
+            yield from _list_episodes(path)
             continue
         names = sorted(path.iterdir(), reverse=True)
         left += [one for one in names if (one.name[0] != "." if one.is_dir() else _is_log(one.name))]

@@ -10,7 +10,7 @@ from ..errors import BodylogError
 from ..io import remote
 from ..io.temporary import remove_killed
 from ..logs.episode_files import files_of
-from ..runtime.workers import ready, stop, uninterrupted
+from ..runtime.workers import become_worker, stop_processes, block_interrupts
 from . import work
 from .jobs import Job, Row
 
@@ -18,29 +18,29 @@ BASE_BYTES = 300 << 20
 TRIES = 2
 
 
-def run(jobs: Sequence[Job], workers: int, memory: int | None, keep_going: bool) -> Iterator[Row]:
+def run_on_this_machine(jobs: Sequence[Job], workers: int, memory: int | None, keep_going: bool) -> Iterator[Row]:
     """Rows as they finish; after a bug no further log is started, unless `keep_going`."""
-    sizes = {job.name: size(job.log, job.settings.input.max_wait_s) for job in jobs}
+    sizes = {job.name: log_size_bytes(job.log, job.settings.input.max_wait_s) for job in jobs}
     queue = sorted(jobs, key=lambda job: (-sizes[job.name], job.name))
     if workers == 1:
-        yield from _here(queue, keep_going)
+        yield from _run_in_this_process(queue, keep_going)
         return
-    yield from Pool(workers, memory, keep_going).run(queue, sizes)
+    yield from WorkerPool(workers, memory, keep_going).run(queue, sizes)
 
 
-def _here(queue: Sequence[Job], keep_going: bool) -> Iterator[Row]:
+def _run_in_this_process(queue: Sequence[Job], keep_going: bool) -> Iterator[Row]:
     for job in queue:
-        row = work.run(job)
+        row = work.run_job(job)
         yield row
         if row["exit_code"] == 1 and not keep_going:
             return
 
 
-def size(log: str, wait_s: float = remote.WAIT_S) -> int:
+def log_size_bytes(log: str, wait_s: float = remote.WAIT_S) -> int:
     """Bytes of a log: file, folder or URL; 0 when it cannot be read."""
     try:
         if remote.is_url(log):
-            return remote.size(log, wait_s)
+            return remote.remote_size_bytes(log, wait_s)
         parts = files_of(Path(log))
         every = (p for part in parts for p in (part.rglob("*") if part.is_dir() else [part]))
         return sum(p.stat().st_size for p in every if not p.is_dir())
@@ -48,12 +48,12 @@ def size(log: str, wait_s: float = remote.WAIT_S) -> int:
         return 0
 
 
-def need(size: int) -> int:
+def expected_memory_bytes(size: int) -> int:
     """Expected memory (bytes) for a log of `size` bytes: signals are held, images are streamed."""
     return BASE_BYTES + size // 2
 
 
-class Pool:
+class WorkerPool:
     """Worker processes, each with its own pipe: a worker that dies loses only its own job."""
 
     def __init__(self, workers: int, memory: int | None, keep_going: bool) -> None:
@@ -67,7 +67,7 @@ class Pool:
 
     def run(self, queue: Sequence[Job], sizes: Mapping[str, int]) -> Iterator[Row]:
         """Rows as they finish; a job whose worker dies is tried once more, then becomes a row. sizes: bytes by name."""
-        queue, self._needs = list(queue), {name: need(size) for name, size in sizes.items()}
+        queue, self._needs = list(queue), {name: expected_memory_bytes(size) for name, size in sizes.items()}
         try:
             while queue or self._busy:
                 self._hand_out(queue)
@@ -95,8 +95,8 @@ class Pool:
 
     def _start(self) -> tuple[BaseProcess, Connection]:
         here, there = self._context.Pipe()
-        process = self._context.Process(target=_worker, args=(there,), daemon=True)
-        with uninterrupted():
+        process = self._context.Process(target=_serve_jobs, args=(there,), daemon=True)
+        with block_interrupts():
             process.start()
         there.close()
         return process, here
@@ -116,22 +116,22 @@ class Pool:
         if self._tries[job.name] < TRIES:
             queue.insert(0, job)
             return None
-        return work.died(job, f"the worker process died with {process.exitcode} on {job.log}, {TRIES} times")
+        return work.write_died_row(job, f"the worker process died with {process.exitcode} on {job.log}, {TRIES} times")
 
     def _stop(self) -> None:
-        stop([*(process for process, _ in self._idle), *(process for process, _ in self._busy.values())])
+        stop_processes([*(process for process, _ in self._idle), *(process for process, _ in self._busy.values())])
         if self._busy:
             remove_killed(*(job.folder for _, job in self._busy.values()))
 
 
-def _worker(pipe: Connection) -> None:
+def _serve_jobs(pipe: Connection) -> None:
     """Run the jobs that arrive through the pipe until it closes or the process gets a signal."""
     import cv2
 
-    ready()
+    become_worker()
     cv2.setNumThreads(1)
     try:
         while True:
-            pipe.send(work.run(pipe.recv()))
+            pipe.send(work.run_job(pipe.recv()))
     except (EOFError, BrokenPipeError):
         return

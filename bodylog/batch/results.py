@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from .. import headline, verdict
-from ..io.atomic_files import replacing
+from ..io.atomic_files import replace_atomically
 from . import folders, resume
 from .jobs import EXAMINE, Job, Row
 from .resume import ODD
@@ -23,19 +23,19 @@ class Journal:
         """Of the jobs of all shards; of those called `names` the rows are `own`, which grows."""
         self._path, self._out, self._own = out / "results.jsonl", out, own
         self._whole, self._names, self._seen = whole, names, (0, 0)
-        with folders.alone(out, folders.BATCH):
+        with folders.lock_folder(out, folders.BATCH):
             self._rewrite()
 
     def add(self, row: Row) -> None:
         """Append a row, or put all together again where another shard did so meanwhile."""
-        with folders.alone(self._out, folders.BATCH):
+        with folders.lock_folder(self._out, folders.BATCH):
             if self._is_superseded():
                 return
             if not self._path.is_file() or self._state() != self._seen:
                 self._rewrite()
                 return
             with self._path.open("a", encoding="utf-8", errors=ODD) as stream:
-                stream.write(line(row))
+                stream.write(row_as_json_line(row))
             self._seen = self._state()
 
     def finish(self) -> list[Row]:
@@ -47,7 +47,7 @@ class Journal:
         rows: list[Row] | None = None
         final: list[Row] = []
         while rows is None or rows != self._rows():
-            with folders.alone(self._out, folders.BATCH):
+            with folders.lock_folder(self._out, folders.BATCH):
                 rows = self._rows()
                 if self._is_superseded():
                     return rows
@@ -59,7 +59,7 @@ class Journal:
         first = self._whole[0]
         if first.task == EXAMINE:
             return write_examined(self._out, rows, first.bounds)
-        write(self._out, rows)
+        write_batch_files(self._out, rows)
         return rows
 
     def _is_superseded(self) -> bool:
@@ -68,11 +68,11 @@ class Journal:
 
     def _rows(self) -> list[Row]:
         """This shard's rows, and what others left that was done as this one does it."""
-        found = (self._own.get(job.name) if job.name in self._names else resume.left(job) for job in self._whole)
+        found = (self._own.get(job.name) if job.name in self._names else resume.read_valid_row(job) for job in self._whole)
         return [row for row in found if row is not None]
 
     def _rewrite(self) -> None:
-        _leave(self._path, "".join(map(line, self._rows())))
+        _write_batch_text(self._path, "".join(map(row_as_json_line, self._rows())))
         self._seen = self._state()
 
     def _state(self) -> tuple[int, int]:
@@ -81,20 +81,20 @@ class Journal:
         return found.st_ino, found.st_size
 
 
-def line(row: Row) -> str:
+def row_as_json_line(row: Row) -> str:
     """A row as one line of JSON, keys in order."""
     return json.dumps(row, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def write(out: Path, rows: Sequence[Row]) -> None:
+def write_batch_files(out: Path, rows: Sequence[Row]) -> None:
     """All three files, whole, rows in the order given."""
     texts = {
-        "results.jsonl": "".join(map(line, rows)),
-        "junit.xml": junit(rows),
-        "summary.html": summary(rows),
+        "results.jsonl": "".join(map(row_as_json_line, rows)),
+        "junit.xml": junit_xml(rows),
+        "summary.html": summary_page(rows),
     }
     for name, text in texts.items():
-        _leave(out / name, text)
+        _write_batch_text(out / name, text)
 
 
 def write_examined(out: Path, rows: Sequence[Row], bounds: Sequence[str]) -> list[Row]:
@@ -107,22 +107,22 @@ def write_examined(out: Path, rows: Sequence[Row], bounds: Sequence[str]) -> lis
     judged = outputs.judge_dataset(out, rows)
     whole = outputs.dataset_row(judged, bounds)
     texts = {
-        "results.jsonl": "".join(map(line, judged.rows)),
-        "junit.xml": junit([*judged.rows, whole]),
-        folders.DATASET: line(whole),
-        folders.PAGE: outputs.page(judged),
+        "results.jsonl": "".join(map(row_as_json_line, judged.rows)),
+        "junit.xml": junit_xml([*judged.rows, whole]),
+        folders.DATASET: row_as_json_line(whole),
+        folders.PAGE: outputs.render_dataset_page(judged),
     }
     for name, text in texts.items():
-        _leave(out / name, text)
+        _write_batch_text(out / name, text)
     return judged.rows
 
 
-def _leave(path: Path, text: str) -> None:
-    with replacing(path) as beside:
+def _write_batch_text(path: Path, text: str) -> None:
+    with replace_atomically(path) as beside:
         beside.write_text(text, encoding="utf-8", errors=ODD)
 
 
-def junit(rows: Sequence[Row]) -> str:
+def junit_xml(rows: Sequence[Row]) -> str:
     """JUnit XML: a broken bound is a failure; an unusable log, a bug or a log not reached is an error."""
     failures = sum(row["exit_code"] == 4 for row in rows)
     errors = sum(row["exit_code"] not in (0, 3, 4) for row in rows)
@@ -130,34 +130,34 @@ def junit(rows: Sequence[Row]) -> str:
     suites = ET.Element("testsuites", {"name": "bodylog", **counts})
     suite = ET.SubElement(suites, "testsuite", {"name": "bodylog batch", **counts, "skipped": "0"})
     for row in rows:
-        _case(suite, row)
+        _add_test_case(suite, row)
     ET.indent(suites)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(suites, encoding="unicode") + "\n"
 
 
-def _case(suite: ET.Element, row: Row) -> None:
-    case = ET.SubElement(suite, "testcase", {"classname": "bodylog", "name": _xml(row["name"])})
+def _add_test_case(suite: ET.Element, row: Row) -> None:
+    case = ET.SubElement(suite, "testcase", {"classname": "bodylog", "name": _xml_text(row["name"])})
     if row["exit_code"] not in (0, 3):
         kind = "failure" if row["exit_code"] == 4 else "error"
-        first = _xml(row["error"]).strip().splitlines()[-1]
-        ET.SubElement(case, kind, {"message": first, "type": row["status"]}).text = _xml(row["error"])
+        first = _xml_text(row["error"]).strip().splitlines()[-1]
+        ET.SubElement(case, kind, {"message": first, "type": row["status"]}).text = _xml_text(row["error"])
     scores = "\n".join(f"{name} = {value}" for name, value in row["scores"].items())
     findings = "\n".join(f"{severity}: {text}" for severity, text in row["findings"])
-    ET.SubElement(case, "system-out").text = _xml(f"{row['log']}\n{scores}\n{findings}")
+    ET.SubElement(case, "system-out").text = _xml_text(f"{row['log']}\n{scores}\n{findings}")
 
 
-def _xml(text: str) -> str:
+def _xml_text(text: str) -> str:
     """Text without the control characters XML 1.0 cannot hold."""
     return "".join(c if c in "\t\n" or " " <= c <= "\ud7ff" or "\ue000" <= c <= "\ufffd" else "�" for c in text)
 
 
-def summary(rows: Sequence[Row]) -> str:
+def summary_page(rows: Sequence[Row]) -> str:
     """A page with the verdict and one line per log: its main figures; everything from a log is escaped."""
     names = [name for name in headline.NAMES if any(name in row["headline"] for row in rows)]
     heads = ("log", "status", *names, "remark")
     head = "".join(f"<th>{html.escape(name)}</th>" for name in heads)
-    text = "\n".join(f"<p>{html.escape(sentence)}</p>" for sentence in verdict.of_batch(rows))
-    body = "\n".join(_line(row, names) for row in rows)
+    text = "\n".join(f"<p>{html.escape(sentence)}</p>" for sentence in verdict.verdict_of_batch(rows))
+    body = "\n".join(_summary_row(row, names) for row in rows)
     return PAGE.format(count=len(rows), verdict=text, head=head, body=body)
 
 
@@ -174,7 +174,7 @@ body{{font:14px sans-serif;margin:2em}} td,th{{padding:.2em .8em;text-align:left
 """
 
 
-def _line(row: Row, names: Sequence[str]) -> str:
+def _summary_row(row: Row, names: Sequence[str]) -> str:
     link = f"{row['name']}/report.html"
     name = html.escape(row["name"])
     first = f'<a href="{html.escape(link)}">{name}</a>' if "report.html" in row["outputs"] else name

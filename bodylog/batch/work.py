@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from .. import pipeline, views
-from ..config import toml
+from ..config import settings_as_toml
 from ..errors import BodylogError, BoundError, LogError
 from ..evaluation import bounds
 from ..io import remote
-from ..io.atomic_files import FULL, replacing, sha256
+from ..io.atomic_files import FULL, replace_atomically, hash_files
 from ..io.temporary import PART, remove_stale
 from ..runtime import sigbus
 from ..types import Fault, Health
@@ -35,14 +35,14 @@ STATUS = {
 """The status of a row by its exit code, the worst last."""
 
 
-def run(job: Job) -> Row:
+def run_job(job: Job) -> Row:
     """Run one job and write its row beside its outputs; every failure becomes a row."""
     sigbus.install_sigbus_handler()
-    folders.mark(job.folder, folders.RESULT)
+    folders.mark_folder(job.folder, folders.RESULT)
     # a worker of a killed batch may still be running this job
-    with folders.alone(job.folder, folders.RESULT), _on_one_core():
-        earlier = resume.finished(job) if job.resume else None
-        return earlier or _rerun(job)
+    with folders.lock_folder(job.folder, folders.RESULT), _on_one_core():
+        earlier = resume.read_finished_row(job) if job.resume else None
+        return earlier or _run_job_afresh(job)
 
 
 @contextmanager
@@ -57,89 +57,89 @@ def _on_one_core() -> Iterator[None]:
         THREADS.reset(token)
 
 
-def _rerun(job: Job) -> Row:
+def _run_job_afresh(job: Job) -> Row:
     remove_stale(job.folder, f".*{PART}")
     for stale in (job.folder / name for name in (*OUTPUTS, *EVIDENCE, folders.ROW)):
         shutil.rmtree(stale) if stale.is_dir() and not stale.is_symlink() else stale.unlink(missing_ok=True)
-    return resume.leave(job, _attempt(job))
+    return resume.write_row(job, _attempt_job(job))
 
 
-def died(job: Job, why: str) -> Row:
+def write_died_row(job: Job, why: str) -> Row:
     """Write the row of a job whose worker died."""
-    folders.mark(job.folder, folders.RESULT)
+    folders.mark_folder(job.folder, folders.RESULT)
     remove_stale(job.folder, f".*{PART}")
-    return resume.leave(job, _row(job, None, 1, why))
+    return resume.write_row(job, _build_row(job, None, 1, why))
 
 
-def not_run(job: Job) -> Row:
+def write_skipped_row(job: Job) -> Row:
     """Write the row of a job that did not run because the batch stopped early."""
     why = "the batch stopped before this log; type the same command with --resume"
-    folders.mark(job.folder, folders.RESULT)
-    return resume.leave(job, {**_row(job, None, 1, why), "status": "not run"})
+    folders.mark_folder(job.folder, folders.RESULT)
+    return resume.write_row(job, {**_build_row(job, None, 1, why), "status": "not run"})
 
 
-def _attempt(job: Job) -> Row:
+def _attempt_job(job: Job) -> Row:
     key = None
     try:
-        key, before = resume.key(job), sigbus.zeroed_pages()
+        key, before = resume.job_key(job), sigbus.zeroed_pages()
         done = TASKS[job.task](job)
         if sigbus.zeroed_pages() > before:
             raise LogError(f"{job.log}: part of it could not be read; check the disk it is on")
-        return _row(job, key, **done)
+        return _build_row(job, key, **done)
     except BodylogError as err:
-        return _row(job, key, err.exit_code if err.exit_code != 2 else 65, str(err))
+        return _build_row(job, key, err.exit_code if err.exit_code != 2 else 65, str(err))
     except OSError as err:
-        return _row(job, key, 74 if err.errno in FULL else 65, f"{job.log}: {err.strerror or err}")
+        return _build_row(job, key, 74 if err.errno in FULL else 65, f"{job.log}: {err.strerror or err}")
     except MemoryError as err:
-        return _row(job, key, 65, f"{job.log}: there is not enough memory ({err})")
+        return _build_row(job, key, 65, f"{job.log}: there is not enough memory ({err})")
     except Exception:
-        return _row(job, key, 1, traceback.format_exc())
+        return _build_row(job, key, 1, traceback.format_exc())
 
 
-def _estimate(job: Job) -> dict[str, Any]:
-    """Keywords of `_row`; a broken bound is an exit code of the row."""
+def _estimate_job(job: Job) -> dict[str, Any]:
+    """Keywords of `_build_row`; a broken bound is an exit code of the row."""
     annotated = job.folder / "annotated.mcap"
-    with remote.local(job.log, job.folder, job.settings.input.max_wait_s) as log:
+    with remote.local_copy(job.log, job.folder, job.settings.input.max_wait_s) as log:
         result = pipeline.estimate(log, job.body, annotated, job.settings)
         about = tuple(replace(one, text=one.text.replace(str(log), job.log)) for one in result.findings)
         result = replace(result, findings=about)
-    views.report(annotated, job.folder / "report.html", job.settings)
-    _leave(job.folder / "robot.toml", toml(job.settings))
+    views.write_report(annotated, job.folder / "report.html", job.settings)
+    _write_job_text(job.folder / "robot.toml", settings_as_toml(job.settings))
     lost = any(finding.severity == "lost" for finding in result.findings)
     code, error = (3 if lost else 0), None
     try:
-        bounds.check({job.name: result.figures}, [bounds.parse(text) for text in job.bounds])
+        bounds.check_bounds({job.name: result.figures}, [bounds.parse_bound(text) for text in job.bounds])
     except BoundError as err:
         code, error = err.exit_code, str(err)
-    return {"code": code, "error": error, "result": result, "messages": pipeline.count(annotated)}
+    return {"code": code, "error": error, "result": result, "messages": pipeline.count_declared_messages(annotated)}
 
 
-def _examine(job: Job) -> dict[str, Any]:
-    """Keywords of `_row`, for an episode examined beside its siblings; its evidence is left for
+def _examine_job(job: Job) -> dict[str, Any]:
+    """Keywords of `_build_row`, for an episode examined beside its siblings; its evidence is left for
     their comparison."""
     from ..dataset import examination
 
-    with remote.local(job.log, job.folder, job.settings.input.max_wait_s) as log:
+    with remote.local_copy(job.log, job.folder, job.settings.input.max_wait_s) as log:
         result, evidence = examination.examine_episode(log, job.settings, job.log)
     text = json.dumps(evidence, sort_keys=True, ensure_ascii=False, allow_nan=False)
-    _leave(job.folder / EVIDENCE[0], text)
+    _write_job_text(job.folder / EVIDENCE[0], text)
     lost = any(finding.severity == "lost" for finding in result.findings)
     code, error = (3 if lost else 0), None
-    known = [bounds.parse(text) for text in job.bounds]
+    known = [bounds.parse_bound(text) for text in job.bounds]
     try:
-        bounds.check({job.name: result.scores}, bounds.measured(result.scores, known))
+        bounds.check_bounds({job.name: result.scores}, bounds.select_measured_bounds(result.scores, known))
     except BoundError as err:
         code, error = err.exit_code, str(err)
     return {"code": code, "error": error, "result": result}
 
 
-TASKS: Mapping[str, Callable[[Job], dict[str, Any]]] = {ESTIMATE: _estimate, EXAMINE: _examine}
+TASKS: Mapping[str, Callable[[Job], dict[str, Any]]] = {ESTIMATE: _estimate_job, EXAMINE: _examine_job}
 """What a batch does with each log, by the name of the task."""
 LEAVES: Mapping[str, tuple[str, ...]] = {ESTIMATE: OUTPUTS, EXAMINE: EVIDENCE}
 """The files that a task leaves beside the row of each log."""
 
 
-def _row(
+def _build_row(
     job: Job,
     key: str | None,
     code: int,
@@ -155,30 +155,30 @@ def _row(
         "exit_code": code,
         "error": error,
         "messages": messages,
-        "outputs": {name: sha256(job.folder / name) for name in LEAVES[job.task] if result},
-        "scores": {score.name: _finite(score.value) for score in result.scores} if result else {},
+        "outputs": {name: hash_files(job.folder / name) for name in LEAVES[job.task] if result},
+        "scores": {score.name: _finite_or_none(score.value) for score in result.scores} if result else {},
         "used": {sense: health.used for sense, health in result.health.items()} if result else {},
         "verdict": list(result.verdict) if result else [],
         "headline": dict(result.headline) if result else {},
         "faults": [_plain_fault(fault) for fault in result.faults] if result else [],
-        "health": {name: _plain(health) for name, health in result.health.items()} if result else {},
+        "health": {name: _record_as_json(health) for name, health in result.health.items()} if result else {},
         "findings": [[f.severity, f.text] for f in dict.fromkeys(result.findings)] if result else [],
     }
 
 
-def _plain(record: Fault | Health) -> dict[str, Any]:
+def _record_as_json(record: Fault | Health) -> dict[str, Any]:
     """A record as JSON holds it, NaN as null."""
-    return {key: _finite(v) if isinstance(v, float) else v for key, v in asdict(record).items()}
+    return {key: _finite_or_none(v) if isinstance(v, float) else v for key, v in asdict(record).items()}
 
 
 def _plain_fault(fault: Fault) -> dict[str, Any]:
-    return {**_plain(fault), "alternatives": list(fault.alternatives)}
+    return {**_record_as_json(fault), "alternatives": list(fault.alternatives)}
 
 
-def _finite(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return float(value) if value - value == 0 else None
 
 
-def _leave(path: Path, text: str) -> None:
-    with replacing(path) as beside:
+def _write_job_text(path: Path, text: str) -> None:
+    with replace_atomically(path) as beside:
         beside.write_text(text, encoding="utf-8", errors=ODD)

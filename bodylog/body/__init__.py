@@ -12,28 +12,28 @@ from .senses.encoder_function import Polynomial
 
 if TYPE_CHECKING:
     from .kinematic.learn import Robotics
-    from .learning import Keep, Learned
+    from .learning import Keep, LearnedBody
 
-__all__ = ["Polynomial", "learn", "with_kinematics"]
+__all__ = ["Polynomial", "learn_body", "with_kinematics"]
 
 NAME_URDF = "give the robot's URDF with --urdf"
 """What to do where no URDF was given."""
 
 
-def learn(
+def learn_body(
     features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None,
     keep: "Keep" = "explained", advice: str = "",
-) -> "Learned":  # fmt: skip
-    """Call `learning.learn`; the import is late, since predicting needs none of it."""
+) -> "LearnedBody":  # fmt: skip
+    """Call `learning.learn_from_features`; the import is late, since predicting needs none of it."""
     from . import learning
 
-    return learning.learn(features, settings, provenance, update, keep, advice)
+    return learning.learn_from_features(features, settings, provenance, update, keep, advice)
 
 
 def with_kinematics(
-    features: Sequence[Features], settings: Settings, found: "Learned", robot: "Robotics | None",
+    features: Sequence[Features], settings: Settings, found: "LearnedBody", robot: "Robotics | None",
     update: BodyModel | None = None,
-) -> "Learned":  # fmt: skip
+) -> "LearnedBody":  # fmt: skip
     """Add the URDF's kinematics to a learned body; return it unchanged without a URDF, or with an unsuitable one.
 
     A body to update keeps its own chain unless a URDF is requested. Tracks that kinematics do not explain are refused
@@ -41,22 +41,22 @@ def with_kinematics(
     """
     doubtful = {**found.poor, **found.vague}
     judged = replace(found, poor=doubtful) if found.vague else found
-    with_it = _with_kinematics(features, settings, judged, robot, update)
+    with_it = _learn_or_update_kinematics(features, settings, judged, robot, update)
     if with_it.model is not found.model:
         return with_it
     unused = with_it.findings[len(found.findings) :]
     if not doubtful:
-        return _remembering(with_it, unused)
+        return _record_unused_urdf(with_it, unused)
     try:
-        plain = learn(
-            features, settings, found.model.provenance, update, "telling", _advice(settings, robot)
+        plain = learn_body(
+            features, settings, found.model.provenance, update, "telling", _advise_on_vague_track(settings, robot)
         )
     except EvidenceError as problem:
-        raise EvidenceError("; ".join([str(problem), *map(_why, unused)])) from problem
-    return _remembering(replace(plain, findings=(*plain.findings, *unused)), unused)
+        raise EvidenceError("; ".join([str(problem), *map(_reason_urdf_unused, unused)])) from problem
+    return _record_unused_urdf(replace(plain, findings=(*plain.findings, *unused)), unused)
 
 
-def _advice(settings: Settings, robot: "Robotics | None") -> str:
+def _advise_on_vague_track(settings: Settings, robot: "Robotics | None") -> str:
     """What to do about a track that tells nothing: another URDF is no advice to who gave one."""
     more = "record more poses"
     if robot is not None:
@@ -64,30 +64,30 @@ def _advice(settings: Settings, robot: "Robotics | None") -> str:
     return f"{more}, or {NAME_URDF if settings.kinematics.use else 'leave out --no-urdf'}"
 
 
-def _remembering(found: "Learned", unused: Sequence[Finding]) -> "Learned":
+def _record_unused_urdf(found: "LearnedBody", unused: Sequence[Finding]) -> "LearnedBody":
     """The body, which knows why a URDF that it was given is not used."""
     if not unused:
         return found
-    provenance = {**found.model.provenance, UNUSED_URDF: _why(unused[0])}
+    provenance = {**found.model.provenance, UNUSED_URDF: _reason_urdf_unused(unused[0])}
     return replace(found, model=replace(found.model, provenance=provenance))
 
 
-def _why(unused: Finding) -> str:
+def _reason_urdf_unused(unused: Finding) -> str:
     """Why a URDF is not used, without the advice to leave it out, of no use where a URDF is needed."""
     return unused.text.removesuffix(f", {WITHOUT_URDF}")
 
 
-def _with_kinematics(
-    features: Sequence[Features], settings: Settings, found: "Learned", robot: "Robotics | None",
+def _learn_or_update_kinematics(
+    features: Sequence[Features], settings: Settings, found: "LearnedBody", robot: "Robotics | None",
     update: BodyModel | None,
-) -> "Learned":  # fmt: skip
+) -> "LearnedBody":  # fmt: skip
     if settings.kinematics.use and (robot is None or not robot.asked) and update is not None:
         from .kinematic import update as kinematic_update
 
-        if kinematic_update.chained(update):
-            return kinematic_update.learn(features, settings, found, update)
+        if kinematic_update.senses_with_chain(update):
+            return kinematic_update.update_kinematics(features, settings, found, update)
     if robot is None:
         return found
     from .kinematic import learn as kinematic
 
-    return kinematic.learn(features, settings, found, robot)
+    return kinematic.learn_kinematics(features, settings, found, robot)

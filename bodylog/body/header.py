@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from ..body_model import UNUSED_URDF, BodyModel, Noise, TouchConstants
 from ..errors import ModelError
-from ..io.values import read_json, text
+from ..io.values import read_json, encodable_text
 from . import surface
 from .gp.model import GP
 from .kinematic import storage
@@ -43,14 +43,14 @@ class Header(NamedTuple):
     surface: dict[str, Any] | None = None
 
 
-def written(model: BodyModel) -> dict[str, Any]:
+def compose_header(model: BodyModel) -> dict[str, Any]:
     """The header of a model."""
     senses = {
         name: {"kind": KINDS[type(sense)], "outputs": sense.outputs, "unit": getattr(sense, "unit", "")}
-        | ({"kinematics": storage.names(sense)} if isinstance(sense, KinematicGP) else {})
+        | ({"kinematics": storage.kinematic_names(sense)} if isinstance(sense, KinematicGP) else {})
         for name, sense in model.senses.items()
     }
-    seen = {} if model.surface is None else {"surface": surface.names(model.surface)}
+    seen = {} if model.surface is None else {"surface": surface.surface_names(model.surface)}
     return seen | {
         "kind": _KIND,
         "version": VERSION,
@@ -64,18 +64,18 @@ def written(model: BodyModel) -> dict[str, Any]:
     }
 
 
-def read(path: Path, header_text: str) -> Header:
+def read_header(path: Path, header_text: str) -> Header:
     """Parse and check a header; ModelError, naming the field, where it is invalid."""
-    header = _parsed(path, header_text)
+    header = _parse_header_json(path, header_text)
     try:
-        joints = _joints(header["joints"])
-        noise, touch = _noise(header["noise"]), _touch(header["touch"])
-        cells = {int(cell): _floats(f"cells.{cell}", place) for cell, place in header.get("cells", {}).items()}
-        senses = {text(n): _about(n, sense) for n, sense in header["senses"].items()}
-        linked = {text(n): s for n, s in header["senses"].items() if s.get("kind") == KINDS[KinematicGP]}
-        links = {name: storage.checked(sense.get("kinematics")) for name, sense in linked.items()}
-        provenance = _provenance(header["provenance"])
-        seen = surface.checked(header["surface"], joints) if "surface" in header else None
+        joints = _check_joint_names(header["joints"])
+        noise, touch = _parse_noise(header["noise"]), _parse_touch_constants(header["touch"])
+        cells = {int(cell): _check_floats(f"cells.{cell}", place) for cell, place in header.get("cells", {}).items()}
+        senses = {encodable_text(n): _parse_sense(n, sense) for n, sense in header["senses"].items()}
+        linked = {encodable_text(n): s for n, s in header["senses"].items() if s.get("kind") == KINDS[KinematicGP]}
+        links = {name: storage.check_kinematic_names(sense.get("kinematics")) for name, sense in linked.items()}
+        provenance = _check_provenance(header["provenance"])
+        seen = surface.check_surface(header["surface"], joints) if "surface" in header else None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{path}: field header: {error}; fit the body again") from error
     _check_noise(path, joints, {name: len(about[1]) for name, about in senses.items()}, noise, touch)
@@ -86,7 +86,7 @@ def read(path: Path, header_text: str) -> Header:
     return Header(joints, noise, touch, places, senses, links, provenance, seen)
 
 
-def _parsed(path: Path, header_text: str) -> Mapping[str, Any]:
+def _parse_header_json(path: Path, header_text: str) -> Mapping[str, Any]:
     try:
         header = read_json(header_text)
     except ValueError as error:
@@ -101,45 +101,45 @@ def _parsed(path: Path, header_text: str) -> Mapping[str, Any]:
     return header
 
 
-def _touch(fields: Mapping[str, Any]) -> TouchConstants:
+def _parse_touch_constants(fields: Mapping[str, Any]) -> TouchConstants:
     """Touch constants without those of `_UNUSED`."""
     return TouchConstants(**{name: value for name, value in fields.items() if name not in ("a2", "b2")})
 
 
-def _about(name: str, sense: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
+def _parse_sense(name: str, sense: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
     """Kind, outputs and unit of a sense."""
-    return _kind(sense), _texts(f"senses.{name}.outputs", sense["outputs"]), text(str(sense["unit"]))
+    return _check_sense_kind(sense), _check_texts(f"senses.{name}.outputs", sense["outputs"]), encodable_text(str(sense["unit"]))
 
 
-def _kind(sense: Mapping[str, Any]) -> str:
+def _check_sense_kind(sense: Mapping[str, Any]) -> str:
     kind = str(sense.get("kind", "gp"))
     if kind not in KINDS.values():
         raise ValueError(f"sense of kind {kind!r}, possible: {', '.join(KINDS.values())}")
     return kind
 
 
-def _joints(found: Any) -> tuple[str, ...]:
-    names = _texts("joints", found)
+def _check_joint_names(found: Any) -> tuple[str, ...]:
+    names = _check_texts("joints", found)
     twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if twice is not None or not names:
         raise ValueError(f"joints: found {twice or found!r}, possible: a list that names each joint once")
     return names
 
 
-def _texts(field: str, found: Any) -> tuple[str, ...]:
+def _check_texts(field: str, found: Any) -> tuple[str, ...]:
     if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
         raise ValueError(f"{field}: found {str(found)[:200]}, possible: a list of texts")
-    return tuple(text(name) for name in found)
+    return tuple(encodable_text(name) for name in found)
 
 
-def _provenance(found: Any) -> dict[str, Any]:
+def _check_provenance(found: Any) -> dict[str, Any]:
     provenance = dict(found)
     if "cameras" in provenance:
-        provenance["cameras"] = list(_texts("provenance.cameras", provenance["cameras"]))
+        provenance["cameras"] = list(_check_texts("provenance.cameras", provenance["cameras"]))
     if not isinstance(provenance.get(UNUSED_URDF, ""), str):
         raise ValueError(f"provenance.{UNUSED_URDF}: found {provenance[UNUSED_URDF]!r:.200}, possible: a text")
     if "pose_std" in provenance:
-        std = _floats("provenance.pose_std", provenance["pose_std"])
+        std = _check_floats("provenance.pose_std", provenance["pose_std"])
         if any(value < 0.0 for value in std):
             raise ValueError(f"provenance.pose_std: found {min(std)!r}, possible: 0 rad and more")
         provenance["pose_std"] = list(std)
@@ -226,13 +226,13 @@ def _are_sizes(found: Any) -> bool:
     return all(isinstance(side, int) and not isinstance(side, bool) and 1 <= side <= _WIDEST for side in sides)
 
 
-def _noise(found: Mapping[str, Any]) -> Noise:
+def _parse_noise(found: Mapping[str, Any]) -> Noise:
     parts = ("senses", "std_error")
-    senses, errors = ({n: _floats(f"noise.{part}.{n}", v) for n, v in found[part].items()} for part in parts)
-    return Noise(_floats("noise.encoder", found["encoder"]), senses, _floats("noise.process", found["process"]), errors)
+    senses, errors = ({n: _check_floats(f"noise.{part}.{n}", v) for n, v in found[part].items()} for part in parts)
+    return Noise(_check_floats("noise.encoder", found["encoder"]), senses, _check_floats("noise.process", found["process"]), errors)
 
 
-def _floats(field: str, values: Any) -> tuple[float, ...]:
+def _check_floats(field: str, values: Any) -> tuple[float, ...]:
     if not isinstance(values, list) or not all(_is_number(v) for v in values):
         raise ValueError(f"{field}: found {str(values)[:200]}, possible: a list of finite numbers")
     return tuple(float(v) for v in values)

@@ -9,21 +9,21 @@ import numpy as np
 from ..body_model import BodyModel, ForwardModel, Noise
 from ..errors import EvidenceError, ModelError
 from ..runtime.blas_threads import one_thread
-from ..settings import Fit, Settings
+from ..settings import FitSettings, Settings
 from ..types import Features, Finding, Score
 from . import exploration_report, noise_estimates, pose_errors
 from .data import trainable
 from .data.exploration import select_joints
 from .data.pairs import (
-    Joint,
+    SmoothedJoint,
     Pairs,
-    joined,
-    joints,
-    moves,
-    moving_joints,
-    pairs,
+    join_pairs,
+    smooth_all_joints,
+    has_moved,
+    find_moving_joints,
+    pair_sightings,
     pairs_of_samples,
-    plausible,
+    drop_impossible_values,
     sparse_joints,
 )
 from .gp.model import GP
@@ -35,7 +35,7 @@ one image also tells something about the joints."""
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class LearnedBody:
     """A body model, its scores on held-out data, remarks on the exploration, and the joints it was learned over.
 
     poor: tracks, and why, that a Gaussian process alone cannot explain, kept for kinematics · vague: tracks that it
@@ -46,17 +46,17 @@ class Learned:
     model: BodyModel
     scores: tuple[Score, ...]
     findings: tuple[Finding, ...]
-    joints: tuple[Joint, ...] = ()
+    joints: tuple[SmoothedJoint, ...] = ()
     poor: Mapping[str, str] = field(default_factory=dict)
     vague: Mapping[str, str] = field(default_factory=dict)
     faint: tuple[Finding, ...] = ()
 
 
 @one_thread("scipy.linalg")
-def learn(
+def learn_from_features(
     features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None,
     keep: Keep = "explained", advice: str = "",
-) -> Learned:  # fmt: skip
+) -> LearnedBody:  # fmt: skip
     """Learn a body model from the features of one or many exploration logs.
 
     A body to update keeps its joints, its given senses, and touch unless a log has touches; its own samples count as
@@ -66,36 +66,36 @@ def learn(
     LogError without joints, ConfigError for an unknown joint, ModelError for another robot's body, EvidenceError when
     nothing was seen or moved.
     """
-    features, absurd = plausible(features)
-    wanted = settings.body.joints if update is None else _same(features, update)
+    features, absurd = drop_impossible_values(features)
+    wanted = settings.body.joints if update is None else _require_known_joints(features, update)
     angled = [encoder_function.with_true_angles(f, update) for f in features]
     if update is None and not any(name != "hand" for f in features for name in f.tracks):
         raise EvidenceError(_nothing_seen(angled))  # before joints are smoothed, which takes long
-    available = joints(angled, wanted)
-    chosen = _moved(angled, available, wanted)
+    available = smooth_all_joints(angled, wanted)
+    chosen = _choose_moved_joints(angled, available, wanted)
     chosen, unseen = (chosen, []) if wanted else select_joints(features, chosen, settings.fit)
-    corners = _corners(features) if keep == "all" else {}
-    tracks = dict(_tracks(features, chosen, settings.fit, update))
-    senses, poor, vague = _senses(tracks, chosen, settings.fit, keep, corners, advice)
+    corners = _board_of_each_corner(features) if keep == "all" else {}
+    tracks = dict(_pairs_by_track(features, chosen, settings.fit, update))
+    senses, poor, vague = _learn_senses(tracks, chosen, settings.fit, keep, corners, advice)
     if not senses:
-        raise EvidenceError(_refusal(features, poor, chosen))
+        raise EvidenceError(_refusal_message(features, poor, chosen))
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
-    learned, repeated = _noise(features, chosen, senses, update)
-    constants, cells, touched = touch.learned(angled, names, gps.get("effector"))
-    read = encoder_calibration.learned(features, chosen, learned)
+    learned, repeated = _learn_all_noise(features, chosen, senses, update)
+    constants, cells, touched = touch.learn_touch(angled, names, gps.get("effector"))
+    read = encoder_calibration.learn_encoder_functions(features, chosen, learned)
     given: Mapping[str, ForwardModel] = {}
     if update is not None:
-        given = {n: g for n, g in update.senses.items() if n not in _seen(update)}
+        given = {n: g for n, g in update.senses.items() if n not in _senses_of_tracks(update)}
         constants, cells = (constants, {**update.cells, **cells}) if touched else (update.touch, update.cells)
-    scores = (*exploration_report.scores(chosen, gps, learned), *_scores(senses, names, learned), *read.scores)
-    still = exploration_report.still_findings([j for j in available if j in chosen or not moves(j)], chosen)
+    scores = (*exploration_report.exploration_scores(chosen, gps, learned), *_scores_of_tracks(senses, names, learned), *read.scores)
+    still = exploration_report.still_findings([j for j in available if j in chosen or not has_moved(j)], chosen)
     gaps = exploration_report.missing_findings(angled, [j.name for j in available], wanted)
-    dropped = _dropped(features, senses, poor)
-    about = {**_pictures(features), **repeated, **provenance}
-    return Learned(
+    dropped = _dropped_findings(features, senses, poor)
+    about = {**_image_provenance(features), **repeated, **provenance}
+    return LearnedBody(
         BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, about, cells),
         scores,
-        (trainable.moved(available, chosen), *still, *absurd, *unseen, *gaps, *dropped, *touched, *read.findings),
+        (trainable.learned_joints_finding(available, chosen), *still, *absurd, *unseen, *gaps, *dropped, *touched, *read.findings),
         tuple(chosen),
         {name: reason for name, reason in poor.items() if name in senses},
         vague,
@@ -103,46 +103,46 @@ def learn(
     )
 
 
-def _moved(features: Sequence[Features], available: list[Joint], wanted: tuple[str, ...] | None) -> list[Joint]:
+def _choose_moved_joints(features: Sequence[Features], available: list[SmoothedJoint], wanted: tuple[str, ...] | None) -> list[SmoothedJoint]:
     """The joints wanted, or those that moved; EvidenceError without any."""
-    chosen = [j for j in available if wanted or moves(j)]
+    chosen = [j for j in available if wanted or has_moved(j)]
     if not chosen:
         possible = ", ".join(j.name for j in available) or f"none ({'; '.join(sparse_joints(features).values())})"
         raise EvidenceError(f"no joint moved; the log has {possible}; record an exploration, or name [body] joints")
     return chosen
 
 
-def _noise(
-    features: Sequence[Features], chosen: Sequence[Joint], senses: Mapping[str, track.Sense], update: BodyModel | None
+def _learn_all_noise(
+    features: Sequence[Features], chosen: Sequence[SmoothedJoint], senses: Mapping[str, track.TrackSense], update: BodyModel | None
 ) -> tuple[Noise, dict[str, Any]]:
     """Noise of joints and senses, pooled with that of a body to update, and its part of the provenance."""
     gps, floors = ({n: getattr(found, part) for n, found in senses.items()} for part in ("gp", "floor"))
-    learned = noise_estimates.learned([j.acceleration for j in chosen], gps, floors)
-    learned, repeated = _posed(learned, senses, len(chosen)) if all(f.poses for f in features) else (learned, {})
-    return learned if update is None else noise_estimates.pooled(learned, update.noise), repeated
+    learned = noise_estimates.learn_noise([j.acceleration for j in chosen], gps, floors)
+    learned, repeated = _encoder_noise_from_poses(learned, senses, len(chosen)) if all(f.poses for f in features) else (learned, {})
+    return learned if update is None else noise_estimates.pool_noise(learned, update.noise), repeated
 
 
-def _scores(senses: Mapping[str, track.Sense], names: tuple[str, ...], noise: Noise) -> Iterator[Score]:
+def _scores_of_tracks(senses: Mapping[str, track.TrackSense], names: tuple[str, ...], noise: Noise) -> Iterator[Score]:
     """Scores of all tracks."""
     for name, found in senses.items():
-        yield from track.scores(name, found, names, noise)
+        yield from track.scores_of_track(name, found, names, noise)
     for name, found in senses.items():
-        yield Score(f"explained/{name}", trainable.explained(found), "1")
+        yield Score(f"explained/{name}", trainable.explained_motion_share(found), "1")
 
 
-def _dropped(
-    features: Sequence[Features], senses: Mapping[str, track.Sense], poor: Mapping[str, str]
+def _dropped_findings(
+    features: Sequence[Features], senses: Mapping[str, track.TrackSense], poor: Mapping[str, str]
 ) -> Iterator[Finding]:
     """Remarks on tracks without a model, and on sightings left out of the others."""
     for name, reason in _by_board(features, {n: r for n, r in poor.items() if n not in senses}):
         yield Finding("warning", f"{name}: left out: {reason}")
     for name, found in senses.items():
-        yield from track.findings(name, found)
+        yield from track.track_findings(name, found)
 
 
-def _posed(learned: Noise, senses: Mapping[str, track.Sense], count: int) -> tuple[Noise, dict[str, Any]]:
+def _encoder_noise_from_poses(learned: Noise, senses: Mapping[str, track.TrackSense], count: int) -> tuple[Noise, dict[str, Any]]:
     """Encoder noise from still poses, and its std (rad) for the provenance."""
-    found = pose_errors.learned(senses, count)
+    found = pose_errors.learn_pose_errors(senses, count)
     if found is None:
         return learned, {}
     variance, error = (tuple(float(v) for v in values) for values in found)
@@ -150,28 +150,28 @@ def _posed(learned: Noise, senses: Mapping[str, track.Sense], count: int) -> tup
     return replace(learned, encoder=variance, std_error={**learned.std_error, "encoder": error}), std
 
 
-def _senses(
-    tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit, keep: Keep, corners: Mapping[str, str],
+def _learn_senses(
+    tracks: Mapping[str, Pairs], chosen: Sequence[SmoothedJoint], fit: FitSettings, keep: Keep, corners: Mapping[str, str],
     advice: str,
-) -> tuple[dict[str, track.Sense], dict[str, str], dict[str, str]]:  # fmt: skip
+) -> tuple[dict[str, track.TrackSense], dict[str, str], dict[str, str]]:  # fmt: skip
     """Each track's model, the reasons why others have none or a poor one, and why models that are kept are vague.
 
     corners: tracks that a URDF joins to boards · advice: what to do about a track that tells nothing.
     """
-    found, poor, vague = dict[str, track.Sense](), dict[str, str](), dict[str, str]()
+    found, poor, vague = dict[str, track.TrackSense](), dict[str, str](), dict[str, str]()
     for name, part in tracks.items():
         fewest = trainable.FEWEST_OF_BOARD if name in corners else trainable.FEWEST
-        reason = trainable.unfit(part, [] if keep == "all" else chosen, fewest)
+        reason = trainable.reason_untrainable(part, [] if keep == "all" else chosen, fewest)
         if reason is None:
             try:
-                found[name] = track.sense(part, chosen, fit)
+                found[name] = track.learn_track(part, chosen, fit)
             except np.linalg.LinAlgError as problem:
                 reason = f"no model of its {len(part.x)} sightings: {problem}"
         if name in found and fit.preset == "paper":
             continue  # the paper's constants are used whatever they predict
         if name in found:
-            reason = trainable.unexplained(found[name])
-            hidden = None if reason else trainable.vague(found[name], chosen)
+            reason = trainable.reason_unexplained(found[name])
+            hidden = None if reason else trainable.reason_vague(found[name], chosen)
             if hidden and keep == "telling":
                 reason = f"{hidden}: {advice}" if advice else hidden
             elif hidden:
@@ -185,12 +185,12 @@ def _senses(
 
 def _nothing_seen(features: Sequence[Features]) -> str:
     """The message without any track, with the joints that moved."""
-    names = moving_joints(features)
+    names = find_moving_joints(features)
     moved = f"though {len(names)} joints moved ({', '.join(names)})" if names else "and no joint moved"
     return f"no track to learn from, {moved}; type: bodylog info LOG, and name a marker in [features]"
 
 
-def _refusal(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequence[Joint]) -> str:
+def _refusal_message(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequence[SmoothedJoint]) -> str:
     """The message when no track can be learned, and advice."""
     moved = f"{len(chosen)} joints moved ({', '.join(joint.name for joint in chosen)})"
     reasons = "; ".join(f"{name}: {reason}" for name, reason in _by_board(features, poor))
@@ -198,7 +198,7 @@ def _refusal(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequ
     return f"no track can be learned, though {moved}: {reasons}; {advice}"
 
 
-def _corners(features: Sequence[Features]) -> dict[str, str]:
+def _board_of_each_corner(features: Sequence[Features]) -> dict[str, str]:
     """The board of each track that is one of three or more points of a rigid thing."""
     boards = [item for found in features for item in found.boards.items()]
     return {track: name for name, (tracks, _) in boards if len(tracks) > 2 for track in tracks}
@@ -206,33 +206,33 @@ def _corners(features: Sequence[Features]) -> dict[str, str]:
 
 def _by_board(features: Sequence[Features], poor: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     """Yield each poor track, or a whole board once, with the reason and in how many images it was seen."""
-    corners, boards = _corners(features), dict[str, list[str]]()
+    corners, boards = _board_of_each_corner(features), dict[str, list[str]]()
     for name in poor:
         boards.setdefault(corners.get(name, name), []).append(name)
     for board, tracks in boards.items():
-        best = max(tracks, key=lambda name: sum(trainable.counted(f, name)[1] for f in features if name in f.tracks))
-        reason = f"{poor[best]}, {trainable.seen(features, best)}"
+        best = max(tracks, key=lambda name: sum(trainable.count_sightings(f, name)[1] for f in features if name in f.tracks))
+        reason = f"{poor[best]}, {trainable.describe_sighting_counts(features, best)}"
         corner = f"{len(tracks)} corners; of {best}, seen most often: " if len(tracks) > 1 else ""
         yield (board if len(tracks) > 1 else best), f"{corner}{reason}"
 
 
-def _tracks(
-    features: Sequence[Features], chosen: Sequence[Joint], fit: Fit, update: BodyModel | None
+def _pairs_by_track(
+    features: Sequence[Features], chosen: Sequence[SmoothedJoint], fit: FitSettings, update: BodyModel | None
 ) -> Iterator[tuple[str, Pairs]]:
-    known = {} if update is None else _seen(update)
+    known = {} if update is None else _senses_of_tracks(update)
     for name in sorted({name for f in features for name in f.tracks if name != "hand"} | set(known)):
-        parts = [pairs(features, name, chosen, fit.every)] if any(name in f.tracks for f in features) else []
+        parts = [pair_sightings(features, name, chosen, fit.every)] if any(name in f.tracks for f in features) else []
         if name in known:
             parts.append(pairs_of_samples(known[name].samples, known[name].targets, known[name].spread))
-        yield name, joined(parts)
+        yield name, join_pairs(parts)
 
 
-def _seen(body: BodyModel) -> dict[str, GP]:
+def _senses_of_tracks(body: BodyModel) -> dict[str, GP]:
     """The senses learned from tracks."""
     return {n: g for n, g in body.senses.items() if isinstance(g, GP) and n != "encoders"}
 
 
-def _pictures(features: Sequence[Features]) -> dict[str, Any]:
+def _image_provenance(features: Sequence[Features]) -> dict[str, Any]:
     """The cameras' topics, first camera first, and the image width, px, if all logs agree on it."""
     cameras = next((list(f.cameras.values()) for f in features if f.cameras), [])
     widths = {f.picture_size[0] for f in features if f.picture_size is not None}
@@ -240,7 +240,7 @@ def _pictures(features: Sequence[Features]) -> dict[str, Any]:
     return {key: value for key, value in known.items() if value}
 
 
-def _same(features: Sequence[Features], update: BodyModel) -> tuple[str, ...]:
+def _require_known_joints(features: Sequence[Features], update: BodyModel) -> tuple[str, ...]:
     for index, found in enumerate(features):
         names = () if found.joints is None else found.joints.names
         missing = [name for name in update.joints if name not in names]

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..types import Array
 from .data.angles import STILL
-from .senses.track import Sense
+from .senses.track import TrackSense
 
 WIDTH = 2.0
 """Prior std of the logarithm of a standard deviation, about STILL."""
@@ -25,7 +25,7 @@ _LEAST, _STEP = 1e-6, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
+class _PoseResiduals:
     """P poses: residuals r (P,K) px, Jacobians (P,K,M) px/rad, variances (P,K) px², infinite where not seen."""
 
     r: Array
@@ -33,26 +33,26 @@ class _Rows:
     var: Array
 
 
-def learned(senses: Mapping[str, Sense], joints: int) -> tuple[Array, Array] | None:
+def learn_pose_errors(senses: Mapping[str, TrackSense], joints: int) -> tuple[Array, Array] | None:
     """Variance Q (M,) rad² and its standard error (M,); None if poses are too few to separate it from model error."""
     from scipy.optimize import minimize
 
-    rows = _rows(list(senses.values()), joints)
+    rows = _collect_pose_residuals(list(senses.values()), joints)
     if len(rows.r) < FEWEST:
         return None
     first = np.append(np.full(joints, 2.0 * np.log(STILL)), 0.0)
     bounds = [(2.0 * np.log(_LEAST), 0.0)] * joints + [(-3.0, 3.0)]
-    found = np.asarray(minimize(lambda p: _loss(p, rows), first, method="L-BFGS-B", bounds=bounds).x)
+    found = np.asarray(minimize(lambda p: _pose_error_loss(p, rows), first, method="L-BFGS-B", bounds=bounds).x)
     if np.exp(0.5 * found[:joints]).max() > FARTHEST:
         return None
-    best = _loss(found, rows)
-    bend = np.array([_loss(found + s, rows) + _loss(found - s, rows) - 2.0 * best for s in _STEP * np.eye(joints + 1)])
+    best = _pose_error_loss(found, rows)
+    bend = np.array([_pose_error_loss(found + s, rows) + _pose_error_loss(found - s, rows) - 2.0 * best for s in _STEP * np.eye(joints + 1)])
     error = 1.0 / np.sqrt(np.maximum(bend[:joints] / _STEP**2, 1.0 / (2.0 * WIDTH) ** 2))
     variance = np.exp(found[:joints])
     return variance, variance * error
 
 
-def _rows(senses: Sequence[Sense], joints: int) -> _Rows:
+def _collect_pose_residuals(senses: Sequence[TrackSense], joints: int) -> _PoseResiduals:
     """Held-out residuals of all tracks by pose."""
     keys = [np.stack([s.used.log.astype(float), s.used.t], axis=1) for s in senses]
     poses = np.unique(np.concatenate([key[key[:, 0] >= 0] for key in keys]), axis=0)
@@ -66,10 +66,10 @@ def _rows(senses: Sequence[Sense], joints: int) -> _Rows:
         r[at[mine], columns], var[at[mine], columns] = found.residual[mine], found.variance[mine]
         jac[at[mine], columns] = found.gp.means(found.used.x)[1][mine]
     seen = np.isfinite(var).any(axis=1)
-    return _Rows(r[seen], jac[seen], var[seen])
+    return _PoseResiduals(r[seen], jac[seen], var[seen])
 
 
-def _loss(p: Array, rows: _Rows) -> float:
+def _pose_error_loss(p: Array, rows: _PoseResiduals) -> float:
     """Minus ln density (nats) of all residuals for ln Q (M,) and ln of the tracks' own share, with Q's prior."""
     common, own = np.exp(p[:-1]), rows.var * np.exp(p[-1])
     seen = np.isfinite(own)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..body_model import BodyModel, Surface
 from ..errors import ModelError
-from ..io.atomic_files import replacing
+from ..io.atomic_files import replace_atomically
 from ..io.text_paths import with_text_paths
 from ..types import Array
 from . import header
@@ -50,53 +50,53 @@ _POSITIVE, _NOT_NEGATIVE = ("scales", "amplitude", "doubt"), ("noise", "spread",
 def save(model: BodyModel, path: Path) -> None:
     """Write the model to `path` (.npz, whole or not at all).
 
-    ModelError for an unknown kind of sense, or a header that `load` would refuse.
+    ModelError for an unknown kind of sense, or a header that `load_body` would refuse.
     """
     arrays: dict[str, Array] = {}
     for name, sense in model.senses.items():
         if type(sense) not in header.KINDS:
             possible = ", ".join(kind.__name__ for kind in header.KINDS)
             raise ModelError(f"{path}: sense {name!r}: a {type(sense).__name__} cannot be saved; possible: {possible}")
-        own = storage.arrays(sense) if isinstance(sense, KinematicGP) else {}
+        own = storage.kinematic_arrays(sense) if isinstance(sense, KinematicGP) else {}
         fields = (*_SHAPES[header.KINDS[type(sense)]], *(field for field in own if field in storage.BASE))
         values = {field: own[field] if field in own else getattr(sense, field) for field in fields}
         arrays |= {f"{name}/{field}.npy": np.asarray(value, np.float64) for field, value in values.items()}
     if model.surface is not None:
-        arrays |= surface_fields.arrays(model.surface)
-    text = json.dumps(header.written(model), sort_keys=True)
-    header.read(path, text)
+        arrays |= surface_fields.surface_arrays(model.surface)
+    text = json.dumps(header.compose_header(model), sort_keys=True)
+    header.read_header(path, text)
     arrays[_HEADER] = np.array(text)
-    with replacing(path) as beside, zipfile.ZipFile(beside, "w", zipfile.ZIP_STORED) as archive:
+    with replace_atomically(path) as beside, zipfile.ZipFile(beside, "w", zipfile.ZIP_STORED) as archive:
         for name in sorted(arrays):
             with archive.open(zipfile.ZipInfo(name, _EPOCH), "w", force_zip64=True) as stream:
                 np.lib.format.write_array(stream, arrays[name], version=(1, 0), allow_pickle=False)
 
 
 @with_text_paths
-def load(path: Path) -> BodyModel:
+def load_body(path: Path) -> BodyModel:
     """Read a model; ModelError, naming the field, for a wrong, truncated, newer or non-finite file."""
     if not path.is_file():
         raise ModelError(f"{path}: there is no such body model; type: bodylog fit LOG -o {path}")
     try:
         with zipfile.ZipFile(path) as archive:
-            return _read(path, archive)
+            return _read_archive(path, archive)
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, OSError) as error:
         if getattr(error, "filename", None) is not None:  # the file could not be opened
             raise
         raise ModelError(f"{path}: not a whole .npz file ({error}); type: bodylog fit LOG -o body.npz") from error
 
 
-def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
-    found = header.read(path, str(_array(path, archive, _HEADER, "U")))
+def _read_archive(path: Path, archive: zipfile.ZipFile) -> BodyModel:
+    found = header.read_header(path, str(_read_member_array(path, archive, _HEADER, "U")))
     learned = {
-        name: _sense(path, archive, name, *about, found.joints, found.links.get(name))
+        name: _read_sense(path, archive, name, *about, found.joints, found.links.get(name))
         for name, about in found.senses.items()
     }
-    surface = None if found.surface is None else _surface(path, archive, found.surface)
+    surface = None if found.surface is None else _read_surface(path, archive, found.surface)
     return BodyModel(found.joints, learned, found.noise, found.touch, found.provenance, found.cells, surface)
 
 
-def _surface(path: Path, archive: zipfile.ZipFile, about: Mapping[str, Any]) -> Surface:
+def _read_surface(path: Path, archive: zipfile.ZipFile, about: Mapping[str, Any]) -> Surface:
     cameras = []
     for number in range(len(about["cameras"])):
         sizes, own = dict(_SIZES), dict[str, Array]()
@@ -106,7 +106,7 @@ def _surface(path: Path, archive: zipfile.ZipFile, about: Mapping[str, Any]) -> 
             own[field] = _checked_array(path, archive, where, letters, sizes, -header.LARGEST)
         cameras.append(own)
     try:
-        return surface_fields.build(about, cameras)
+        return surface_fields.build_surface(about, cameras)
     except ValueError as error:
         raise ModelError(f"{path}: field {error}; fit the body again") from error
 
@@ -116,7 +116,7 @@ def _checked_array(
 ) -> Array:
     """An array of the shape that letters name, with finite numbers from `least` on; new letters get their sizes."""
     kind = "u" if name.endswith("/patches") else "f"
-    value = _array(path, archive, f"{name}.npy", kind)
+    value = _read_member_array(path, archive, f"{name}.npy", kind)
     found = dict(zip(letters, value.shape, strict=False))
     expected = tuple(sizes.setdefault(letter, found.get(letter, 0)) for letter in letters)
     if value.shape != expected or 0 in expected:
@@ -128,13 +128,13 @@ def _checked_array(
     return value
 
 
-def _sense(
+def _read_sense(
     path: Path, archive: zipfile.ZipFile, name: str, kind: str, outputs: tuple[str, ...], unit: str,
     joints: tuple[str, ...], links: Mapping[str, str] | None,
 ) -> GP | Polynomial:  # fmt: skip
     sizes = {"d": len(outputs), "m": len(joints), **_SIZES}
     arrays: dict[str, Array] = {}
-    for field, letters in (_SHAPES[kind] if links is None else _LEARNED | storage.shapes(links)).items():
+    for field, letters in (_SHAPES[kind] if links is None else _LEARNED | storage.kinematic_shapes(links)).items():
         least = header.LEAST if field in _POSITIVE else 0.0 if field in _NOT_NEGATIVE else -header.LARGEST
         arrays[field] = _checked_array(path, archive, f"{name}/{field}", letters, sizes, least)
     if kind in ("gp", "kinematic"):
@@ -142,7 +142,7 @@ def _sense(
         if links is None:
             return plain
         try:
-            return storage.build(plain, joints, arrays, links)
+            return storage.build_kinematic_gp(plain, joints, arrays, links)
         except ValueError as error:
             raise ModelError(f"{path}: field {name}/{error}; fit the body again") from error
     if len(outputs) != len(joints):
@@ -150,7 +150,7 @@ def _sense(
     return Polynomial(outputs, unit=unit, **arrays)
 
 
-def _array(path: Path, archive: zipfile.ZipFile, member: str, kind: str) -> Array:
+def _read_member_array(path: Path, archive: zipfile.ZipFile, member: str, kind: str) -> Array:
     """Read one array of dtype kind "f" (float64), "u" (uint8) or "U"; its declared size must match the archive's."""
     try:
         info = archive.getinfo(member)

@@ -8,9 +8,9 @@ import numpy as np
 
 from ..logs.datasets.checks import value_ranges
 from ..types import Array
-from .reading import EpisodeReading, Stored
+from .reading import EpisodeReading, StoredNumbers
 from .records import Measurement
-from .siblings import pool
+from .siblings import pool_values
 
 EARLIEST_S, LATEST_S = -0.2, 0.6
 """Delays of the state against the action that are searched."""
@@ -43,26 +43,26 @@ class Following:
 
 def measure_action_delay(reading: EpisodeReading) -> Iterator[Measurement]:
     """Delay of the state behind the action (s), over the joints that follow it."""
-    found = follow_actions(reading)
+    found = measure_following(reading)
     follows = found is not None and (found.correlation >= LEAST_CORRELATION) & np.isfinite(
         found.std_s
     )
     if found is None or not np.any(follows):
         return
-    pooled = pool(found.delay_s[follows], found.std_s[follows])
+    pooled = pool_values(found.delay_s[follows], found.std_s[follows])
     yield Measurement("action", pooled.mean, pooled.std)
 
 
 def measure_action_error(reading: EpisodeReading) -> Iterator[Measurement]:
     """Root mean square of state minus the action that it follows, over joints, in the joints'
     unit."""
-    found = follow_actions(reading)
+    found = measure_following(reading)
     if found is None or reading.joints is None or reading.action is None:
         return
     delay = next((one.value for one in measure_action_delay(reading)), 0.0)
-    wanted = _at_delays(reading.joints, reading.action, found.names, np.array([delay]))[0]
+    wanted = _actions_at_delays(reading.joints, reading.action, found.names, np.array([delay]))[0]
     columns = [reading.joints.names.index(name) for name in found.names]
-    inside = _inside(reading.joints.t, reading.action.t)
+    inside = _rows_with_known_actions(reading.joints.t, reading.action.t)
     error = (reading.joints.values[:, columns] - wanted)[inside]
     if error.size and np.isfinite(error).any():
         yield Measurement("action", float(np.sqrt(np.nanmean(error**2))))
@@ -77,10 +77,10 @@ def measure_swapped_joints(reading: EpisodeReading) -> Iterator[Measurement]:
     if len(names) < 2 or len(joints.t) < LEAST_ROWS:
         return
     delay = next((one.value for one in measure_action_delay(reading)), 0.0)
-    wanted = np.diff(_at_delays(joints, action, names, np.array([delay]))[0], axis=0)
+    wanted = np.diff(_actions_at_delays(joints, action, names, np.array([delay]))[0], axis=0)
     states = np.diff(joints.values[:, [joints.names.index(name) for name in names]], axis=0)
-    inside = _inside(joints.t, action.t)[1:] & np.isfinite(states).all(axis=1)
-    table = _correlations(states[inside], wanted[inside])
+    inside = _rows_with_known_actions(joints.t, action.t)[1:] & np.isfinite(states).all(axis=1)
+    table = _correlate_steps(states[inside], wanted[inside])
     for a in range(len(names)):
         for b in range(a + 1, len(names)):
             across = min(table[a, b], table[b, a])
@@ -89,7 +89,7 @@ def measure_swapped_joints(reading: EpisodeReading) -> Iterator[Measurement]:
                 yield Measurement(f"{names[a]}|{names[b]}", 1.0, None, text)
 
 
-def _correlations(states: Array, wanted: Array) -> Array:
+def _correlate_steps(states: Array, wanted: Array) -> Array:
     """Correlations (K,K) of steps of states (N,K) with steps of actions (N,K); 0 where either
     rests."""
     states = states - states.mean(axis=0)
@@ -99,19 +99,19 @@ def _correlations(states: Array, wanted: Array) -> Array:
     return np.asarray(np.divide(products, scale, out=np.zeros_like(scale), where=scale > 0.0))
 
 
-def follow_actions(reading: EpisodeReading) -> Following | None:
+def measure_following(reading: EpisodeReading) -> Following | None:
     """How each joint follows the action of its name; None without actions, or with too few rows."""
     joints, action = reading.joints, reading.action
     if joints is None or action is None or joints.step_s <= 0.0:
         return None
     names = _common_moving(joints, action)
-    inside = _inside(joints.t, action.t)
+    inside = _rows_with_known_actions(joints.t, action.t)
     if not names or inside.sum() < LEAST_ROWS:
         return None
     step_s = joints.step_s / STEPS_PER_ROW
     tried = np.arange(round(EARLIEST_S / step_s), round(LATEST_S / step_s) + 1) * step_s
     states = np.diff(joints.values[:, [joints.names.index(name) for name in names]], axis=0)
-    wanted = np.diff(_at_delays(joints, action, names, tried), axis=1)
+    wanted = np.diff(_actions_at_delays(joints, action, names, tried), axis=1)
     rows = np.flatnonzero(inside[1:] & inside[:-1] & np.isfinite(states).all(axis=1))
     sums = [_block_sums(states[part], wanted[:, part]) for part in np.array_split(rows, BLOCKS)]
     whole = np.sum(sums, axis=0)
@@ -123,19 +123,19 @@ def follow_actions(reading: EpisodeReading) -> Following | None:
     return Following(names, best, np.hypot(std_s, step_s / np.sqrt(12.0)), correlation)
 
 
-def _common_moving(joints: Stored, action: Stored) -> tuple[str, ...]:
+def _common_moving(joints: StoredNumbers, action: StoredNumbers) -> tuple[str, ...]:
     """Names of joints that have an action and move, as it does."""
     moving = dict(zip(joints.names, value_ranges(joints.values) > 0.0, strict=True))
     asked = dict(zip(action.names, value_ranges(action.values) > 0.0, strict=True))
     return tuple(name for name in joints.names if moving[name] and asked.get(name, False))
 
 
-def _inside(t: Array, action_t: Array) -> Array:
+def _rows_with_known_actions(t: Array, action_t: Array) -> Array:
     """Rows at t (N,) whose actions are known at every searched delay."""
     return np.asarray((t - LATEST_S >= action_t[0]) & (t - EARLIEST_S <= action_t[-1]))
 
 
-def _at_delays(joints: Stored, action: Stored, names: tuple[str, ...], delays: Array) -> Array:
+def _actions_at_delays(joints: StoredNumbers, action: StoredNumbers, names: tuple[str, ...], delays: Array) -> Array:
     """The actions (D,N,K) of joints `names`, as they were at the joints' times less each delay."""
     columns = [action.values[:, action.names.index(name)] for name in names]
     times = joints.t[None] - delays[:, None]

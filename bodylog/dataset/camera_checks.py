@@ -7,7 +7,7 @@ import numpy as np
 from ..logs.datasets.checks import BLACK_GREY, SAME_GREY, long_runs, moves_between, value_ranges
 from ..perception.surface.flow import GridFlow
 from ..types import Array
-from .reading import EpisodeReading, Stored
+from .reading import EpisodeReading, StoredNumbers
 from .records import Measurement
 
 REPEATED_SHARE = 0.05
@@ -60,7 +60,7 @@ def measure_row_times(reading: EpisodeReading) -> Iterator[Measurement]:
 
 def measure_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
     """Share of frames that repeat their predecessor, among those where that can be decided."""
-    for name, seen in _seen(reading):
+    for name, seen in _list_seen_cameras(reading):
         share = seen.repeats.share
         if share is None or np.median(seen.brightness) < BLACK_GREY:
             continue
@@ -74,14 +74,14 @@ def measure_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
 
 def measure_rates(reading: EpisodeReading) -> Iterator[Measurement]:
     """Rate of distinct frames (Hz)."""
-    for name, seen in _seen(reading):
+    for name, seen in _list_seen_cameras(reading):
         if seen.repeats.distinct_hz is not None and np.median(seen.brightness) >= BLACK_GREY:
             yield Measurement(name, seen.repeats.distinct_hz)
 
 
 def measure_dropped_frames(reading: EpisodeReading) -> Iterator[Measurement]:
     """Share of frames that gaps between stamps say are missing."""
-    for name, seen in _seen(reading):
+    for name, seen in _list_seen_cameras(reading):
         gaps = np.diff(seen.repeats.t)
         usual = float(np.median(gaps))
         if usual <= 0.0:
@@ -95,7 +95,7 @@ def measure_dropped_frames(reading: EpisodeReading) -> Iterator[Measurement]:
 def measure_frozen_images(reading: EpisodeReading) -> Iterator[Measurement]:
     """Share of images in stretches that stay the same while joints move as they do where images
     change."""
-    for name, seen in _seen(reading):
+    for name, seen in _list_seen_cameras(reading):
         same = np.append((seen.block_change < SAME_GREY)[1:], False) & (
             seen.brightness >= BLACK_GREY
         )
@@ -106,7 +106,7 @@ def measure_frozen_images(reading: EpisodeReading) -> Iterator[Measurement]:
 
 
 def _runs_with_motion(
-    seen: GridFlow, runs: list[tuple[int, int]], joints: Stored
+    seen: GridFlow, runs: list[tuple[int, int]], joints: StoredNumbers
 ) -> list[tuple[int, int]]:
     """Those runs of images during which joints move, however late the images may be.
 
@@ -133,7 +133,7 @@ def _runs_with_motion(
     ]
 
 
-def _joint_steps(joints: Stored, t: Array) -> Array:
+def _joint_steps(joints: StoredNumbers, t: Array) -> Array:
     """Sum over joints of the steps (N,) between times t (N,) s, in their ranges; 0 of the first."""
     ranges = value_ranges(joints.values)
     total = np.zeros(len(t))
@@ -147,21 +147,21 @@ def _joint_steps(joints: Stored, t: Array) -> Array:
 
 def measure_black_images(reading: EpisodeReading) -> Iterator[Measurement]:
     """Share of images in black stretches."""
-    for name, seen in _seen(reading):
+    for name, seen in _list_seen_cameras(reading):
         runs = _long_runs(seen, seen.brightness < BLACK_GREY)
         yield _share_of_runs(name, seen, runs, "black")
 
 
 def measure_saturated_images(reading: EpisodeReading) -> Iterator[Measurement]:
     """Share of images in stretches that are mostly white."""
-    for name, seen in _seen(reading):
+    for name, seen in _list_seen_cameras(reading):
         runs = _long_runs(seen, seen.saturated > SATURATED_SHARE)
         yield _share_of_runs(name, seen, runs, "white")
 
 
 def measure_blurred_images(reading: EpisodeReading) -> Iterator[Measurement]:
     """Share of images in stretches far less sharp than the sharpest quarter of the episode."""
-    for name, seen in _seen(reading):
+    for name, seen in _list_seen_cameras(reading):
         lit = seen.brightness >= BLACK_GREY
         usual = float(np.quantile(seen.sharpness[lit], 0.75)) if lit.any() else 0.0
         runs = _long_runs(seen, lit & (seen.sharpness < BLURRED_SHARE * usual))
@@ -171,13 +171,13 @@ def measure_blurred_images(reading: EpisodeReading) -> Iterator[Measurement]:
 
 def measure_sharpness(reading: EpisodeReading) -> Iterator[Measurement]:
     """Logarithm of the median variance of the images' Laplacian (ln grey²)."""
-    for name, seen in _seen(reading):
+    for name, seen in _list_seen_cameras(reading):
         yield Measurement(name, float(np.log(max(float(np.median(seen.sharpness)), 1e-3))))
 
 
 def measure_brightness(reading: EpisodeReading) -> Iterator[Measurement]:
     """Median over images of the 99th percentile of their grey levels."""
-    for name, seen in _seen(reading):
+    for name, seen in _list_seen_cameras(reading):
         yield Measurement(name, float(np.median(seen.brightness)))
 
 
@@ -193,7 +193,7 @@ def measure_missing_images(reading: EpisodeReading) -> Iterator[Measurement]:
             yield Measurement(name, film.unreadable / film.count, None, text, "lost")
 
 
-def _seen(reading: EpisodeReading) -> Iterator[tuple[str, GridFlow]]:
+def _list_seen_cameras(reading: EpisodeReading) -> Iterator[tuple[str, GridFlow]]:
     for name, film in reading.films.items():
         if film.seen is not None:
             yield name, film.seen

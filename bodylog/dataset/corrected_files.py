@@ -14,9 +14,9 @@ import numpy as np
 from ..choices import REPEATS
 from ..errors import FormatError, InputError, LogError
 from ..io import episodes
-from ..io.atomic_files import sync
+from ..io.atomic_files import sync_to_disk
 from ..io.contained import is_inside
-from ..io.temporary import scratch
+from ..io.temporary import create_scratch_folder
 from ..logs.datasets import parquet, shifted_video
 from ..logs.datasets.extra import require_module
 from ..logs.datasets.lerobot_layout import (
@@ -25,14 +25,14 @@ from ..logs.datasets.lerobot_layout import (
     EPISODES,
     INFO,
     STATISTICS,
-    Layout,
-    layout,
+    DatasetLayout,
+    read_dataset_layout,
 )
 from ..logs.datasets.statistics import measure_like
 from ..recording.lerobot_writer import STAMP, new_folder
 from ..settings import Settings
 from ..types import Array
-from ..wording import listed
+from ..wording import list_in_words
 from .remedies import CameraDelay, Remedy
 
 MARK, DROP, KEEP = REPEATS
@@ -95,14 +95,14 @@ def write_corrected(
     """Write the corrected dataset as the new folder `out`, whole or not at all, and return what was
     done in sentences."""
     out = new_folder(out)
-    known = layout(folder)
+    known = read_dataset_layout(folder)
     kept = [one for one in remedies if not one.excluded]
     if not kept:
         raise LogError(f"{folder}: all of its {len(remedies)} episodes are left out; none to write")
     films = {} if repeats == KEEP else _find_repeated(known, kept, settings)
     every = _repeat_factor(films) if repeats == DROP else 1
     edits = list(_edits(known, kept, films, every, repeats == MARK))
-    with scratch(out.parent) as place:
+    with create_scratch_folder(out.parent) as place:
         target = place / out.name
         target.mkdir()
         work = _Work(known, replace(known, folder=target), edits, every)
@@ -112,13 +112,13 @@ def write_corrected(
         work.copy_rest()
         _require_complete(target, edits)
         for path in sorted(target.rglob("*")):
-            sync(path)
+            sync_to_disk(path)
         target.rename(out)
-        sync(out.parent)
+        sync_to_disk(out.parent)
     return tuple(_sentences(known, remedies, edits, every, work))
 
 
-def _find_repeated(known: Layout, kept: Sequence[Remedy], settings: Settings) -> Films:
+def _find_repeated(known: DatasetLayout, kept: Sequence[Remedy], settings: Settings) -> Films:
     """Whether each frame repeats the one before, of the cameras whose frames do."""
     return {
         (one.number, feature): _repeated_frames(known, one.number, feature, settings)
@@ -134,7 +134,7 @@ def _repeat_factor(films: Films) -> int:
 
 
 def _repeated_frames(
-    known: Layout, number: int, feature: str, settings: Settings
+    known: DatasetLayout, number: int, feature: str, settings: Settings
 ) -> RepeatedFrames:
     """The repeated frames of a camera; a frame that cannot be decoded is none."""
     from ..flow_findings import alternating_repeats
@@ -143,7 +143,7 @@ def _repeated_frames(
     from ..perception.surface.repeats import RepeatSearch, shrink_grey
     from .reading import grey_frames
 
-    log = episodes.named(known.folder, number)
+    log = episodes.name_episode(known.folder, number)
     search = RepeatSearch()
     with open_log(log, False, settings.input) as opened:
         assert isinstance(opened, EpisodeLog)
@@ -159,7 +159,7 @@ def _repeated_frames(
 
 
 def _edits(
-    known: Layout, kept: Sequence[Remedy], films: Films, every: int, marks: bool
+    known: DatasetLayout, kept: Sequence[Remedy], films: Films, every: int, marks: bool
 ) -> Iterator[Edit]:
     offset = source_offset = 0
     cameras = [name for name, one in known.features.items() if one.get("dtype") in _IMAGES]
@@ -202,14 +202,14 @@ def _least_repeating(
     return phases[int(np.argmin(counts))]
 
 
-def _where(known: Layout, number: int) -> list[tuple[int, int]]:
-    return parquet.rows(known.table(number), "episode_index", number)
+def _where(known: DatasetLayout, number: int) -> list[tuple[int, int]]:
+    return parquet.find_row_runs(known.table(number), "episode_index", number)
 
 
 class _Work:
     """The files of one corrected dataset as they are written."""
 
-    def __init__(self, known: Layout, target: Layout, edits: Sequence[Edit], every: int) -> None:
+    def __init__(self, known: DatasetLayout, target: DatasetLayout, edits: Sequence[Edit], every: int) -> None:
         self._known, self._target, self._edits, self._every = known, target, edits, every
         self._unchanged = set[int]()
         self.copied = 0
@@ -223,7 +223,7 @@ class _Work:
         for source, edits in sources.items():
             place = self._target.table(edits[0].new) if self._each else self._beside(source)
             held = sum(edit.rows for edit in edits)
-            with parquet.opened(source) as file:
+            with parquet.open_parquet(source) as file:
                 whole = file.metadata.num_rows == held
             if whole and all(edit.is_unchanged for edit in edits):
                 self._copy(source, place)
@@ -246,7 +246,7 @@ class _Work:
 
     def _write_rows(self, source: Path, edits: Sequence[Edit], place: Path) -> None:
         arrow = require_module("pyarrow", place)
-        with parquet.opened(source) as file:
+        with parquet.open_parquet(source) as file:
             table = file.read()
         parts = [self._edited(table, edit, arrow) for edit in edits]
         done = arrow.concat_tables(parts)
@@ -350,9 +350,9 @@ class _Work:
         path = self._target.table(edit.new) if self._each else self._beside(
             self._known.table(edit.number)
         )
-        where = parquet.rows(path, "episode_index", edit.new)
+        where = parquet.find_row_runs(path, "episode_index", edit.new)
         names = [name for name, one in self._info_features().items() if one["dtype"] not in _IMAGES]
-        found = parquet.columns(path, names, where)
+        found = parquet.read_number_columns(path, names, where)
         return {name: values for name, values in found.items() if values is not None}
 
     def _info_features(self) -> dict[str, Any]:
@@ -407,7 +407,7 @@ class _Work:
         writer = require_module("pyarrow.parquet", self._known.folder)
         of = {edit.number: edit for edit in self._edits}
         for source in sorted((self._known.folder / EPISODE_TABLES).rglob("*.parquet")):
-            with parquet.opened(source) as file:
+            with parquet.open_parquet(source) as file:
                 table = file.read()
             rows = [row for row in table.to_pylist() if row.get("episode_index") in of]
             if not rows:
@@ -524,7 +524,7 @@ def _plain(value: float) -> float | int:
 
 def _require_complete(target: Path, edits: Sequence[Edit]) -> None:
     """FormatError where the dataset that was written does not hold each episode's rows."""
-    done = layout(target)
+    done = read_dataset_layout(target)
     for edit in edits:
         rows = sum(end - first for first, end in _where(done, edit.new))
         if not done.holds(edit.new) or rows != len(edit.taken):
@@ -532,7 +532,7 @@ def _require_complete(target: Path, edits: Sequence[Edit]) -> None:
 
 
 def _sentences(
-    known: Layout, remedies: Sequence[Remedy], edits: Sequence[Edit], every: int, work: _Work
+    known: DatasetLayout, remedies: Sequence[Remedy], edits: Sequence[Edit], every: int, work: _Work
 ) -> Iterator[str]:
     """What was done, for people."""
     left_out = [one for one in remedies if one.excluded]
@@ -554,7 +554,7 @@ def _sentences(
     yield f"{work.copied} files are copied byte for byte, {work.written} tables and videos are new"
 
 
-def _delay_sentences(name: str, known: Layout, edits: Sequence[Edit]) -> Iterator[str]:
+def _delay_sentences(name: str, known: DatasetLayout, edits: Sequence[Edit]) -> Iterator[str]:
     """By how many frames a camera's images were moved."""
     groups: dict[tuple[int, CameraDelay], list[str]] = {}
     for edit in edits:
@@ -563,7 +563,7 @@ def _delay_sentences(name: str, known: Layout, edits: Sequence[Edit]) -> Iterato
             groups.setdefault(key, []).append(str(edit.number))
     for (frames, late), numbers in groups.items():
         size = f"{1e3 * late.seconds:.0f} ± {1e3 * late.std_s:.0f} ms late"
-        where = f"in episode {listed(numbers)}" if late.own else f"in {len(numbers)} episodes"
+        where = f"in episode {list_in_words(numbers)}" if late.own else f"in {len(numbers)} episodes"
         if not frames:
             yield f"{name}: {size} {where}: less than half a frame, left as it is"
             continue

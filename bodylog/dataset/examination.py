@@ -15,7 +15,7 @@ from ..result import Result, Scores
 from ..settings import Settings
 from ..types import Array, Finding, Score
 from .checks import CHECKS, figure_name
-from .reading import EpisodeReading, Stored, read_episode
+from .reading import EpisodeReading, StoredNumbers, read_episode
 from .views import encode_view, picture_at_rest
 
 CURVE_POINTS = 60
@@ -26,12 +26,12 @@ _QUALITY = 75
 
 def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, dict[str, Any]]:
     """All checks of one episode: the result for people, and the evidence as plain values (see
-    `evidence`).
+    `episode_evidence`).
 
     `name`: what texts call the log. InputError where it cannot be used.
     """
     reading = read_episode(log, settings)
-    scores, findings = list[Score](), [one for one in reading.findings if not _says_only_roles(one)]
+    scores, findings = list[Score](), [one for one in reading.findings if not _is_role_advice(one)]
     figures: dict[str, list[float | None]] = {}
     for check in CHECKS:
         for one in check.measure(reading) if check.measure is not None else ():
@@ -49,7 +49,7 @@ def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, d
     if settings.kinematics.urdf is not None and settings.time.delay != "off":
         _add_surface(log, settings, scores, findings, figures)
     findings = [replace(one, text=one.text.replace(str(log), name)) for one in findings]
-    about = evidence(reading, figures)
+    about = episode_evidence(reading, figures)
     return Result(None, Scores(scores), reading.read.health, tuple(dict.fromkeys(findings))), about
 
 
@@ -58,9 +58,9 @@ def _add_surface(
     figures: dict[str, list[float | None]],
 ) -> None:  # fmt: skip
     """Add what the robot's own surface tells of cameras and joint zeros."""
-    from ..surface_findings import examine
+    from ..surface_findings import examine_by_surface
 
-    found = examine(log, settings)
+    found = examine_by_surface(log, settings)
     scores += found.scores
     findings += found.findings
     values = {one.name: one.value for one in found.scores}
@@ -69,12 +69,12 @@ def _add_surface(
             figures[name] = [value, values.get(f"std/{name}"), 0.0, None]
 
 
-def _says_only_roles(finding: Finding) -> bool:
+def _is_role_advice(finding: Finding) -> bool:
     """Whether a finding is advice for robot.toml, which every episode of a dataset would repeat."""
     return finding.severity == "info" and finding.text.startswith("roles, ready for robot.toml")
 
 
-def evidence(reading: EpisodeReading, figures: Mapping[str, list[float | None]]) -> dict[str, Any]:
+def episode_evidence(reading: EpisodeReading, figures: Mapping[str, list[float | None]]) -> dict[str, Any]:
     """What the comparison with siblings and the page need, as plain values.
 
     figures {name: [value, standard error or null, the part of it that siblings share, the joint
@@ -85,51 +85,51 @@ def evidence(reading: EpisodeReading, figures: Mapping[str, list[float | None]])
     """
     return {
         "figures": dict(sorted(figures.items())),
-        "joints": None if reading.joints is None else _curves(reading.joints),
-        "action": None if reading.action is None else _curves(reading.action),
+        "joints": None if reading.joints is None else _sample_curves(reading.joints),
+        "action": None if reading.action is None else _sample_curves(reading.action),
         "cameras": {
-            name: _camera(film.seen)
+            name: _camera_evidence(film.seen)
             | {"mean_row": None if film.delay is None else film.delay.mean_row}
             for name, film in reading.films.items()
         },
-        "statistics": {name: _statistics(values) for name, values in reading.features.items()},
-        "digest": _digest(reading),
+        "statistics": {name: _column_statistics(values) for name, values in reading.features.items()},
+        "digest": _digest_episode(reading),
         "duration_s": reading.read.duration_s,
         "rows": reading.rows,
     }
 
 
-def _curves(stored: Stored) -> dict[str, Any]:
+def _sample_curves(stored: StoredNumbers) -> dict[str, Any]:
     if not np.isfinite(stored.values).any(axis=0).all() or not len(stored.t):
         return {"names": [], "unit": stored.unit, "low": [], "high": [], "t": [], "curves": []}
     rows = np.unique(np.linspace(0, len(stored.t) - 1, CURVE_POINTS).round().astype(int))
     return {
         "names": list(stored.names),
         "unit": stored.unit,
-        "low": _plain(np.nanmin(stored.values, axis=0)),
-        "high": _plain(np.nanmax(stored.values, axis=0)),
-        "t": _plain(stored.t[rows]),
-        "curves": [_plain(column) for column in stored.values[rows].T],
+        "low": _numbers_as_json(np.nanmin(stored.values, axis=0)),
+        "high": _numbers_as_json(np.nanmax(stored.values, axis=0)),
+        "t": _numbers_as_json(stored.t[rows]),
+        "curves": [_numbers_as_json(column) for column in stored.values[rows].T],
     }
 
 
-def _plain(values: Array) -> list[float | None]:
+def _numbers_as_json(values: Array) -> list[float | None]:
     """Numbers as JSON holds them, to six figures."""
     return [float(f"{value:.6g}") if isfinite(value) else None for value in values.tolist()]
 
 
-def _camera(seen: Any) -> dict[str, Any]:
+def _camera_evidence(seen: Any) -> dict[str, Any]:
     if seen is None:
         return {"thumbnails": [], "view": None, "size": None, "stored_hz": None}
     return {
         "view": encode_view(picture_at_rest(seen.pictures)),
-        "thumbnails": [_jpeg(picture) for picture in seen.pictures],
+        "thumbnails": [_thumbnail_as_jpeg(picture) for picture in seen.pictures],
         "size": list(seen.size),
         "stored_hz": seen.repeats.stored_hz,
     }
 
 
-def _jpeg(picture: Array) -> str:
+def _thumbnail_as_jpeg(picture: Array) -> str:
     import cv2
 
     height, width = picture.shape
@@ -140,13 +140,13 @@ def _jpeg(picture: Array) -> str:
     return base64.b64encode(done.tobytes()).decode()
 
 
-def _statistics(values: Array) -> dict[str, Any]:
+def _column_statistics(values: Array) -> dict[str, Any]:
     from ..logs.datasets.statistics import of_numbers
 
     return of_numbers(values)
 
 
-def _digest(reading: EpisodeReading) -> str | None:
+def _digest_episode(reading: EpisodeReading) -> str | None:
     """The digest of joints and actions as stored; None without joints that move."""
     if reading.joints is None or not np.ptp(np.nan_to_num(reading.joints.values), axis=0).any():
         return None

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..logs.datasets.checks import value_ranges
 from ..types import Array
-from .reading import EpisodeReading, Stored
+from .reading import EpisodeReading, StoredNumbers
 from .records import Measurement
 
 SHORTEST_STUCK_S = 1.0
@@ -53,13 +53,13 @@ def measure_stamp_jitter(reading: EpisodeReading) -> Iterator[Measurement]:
     """Standard deviation of the intervals between stamps (s): 0 where stamps are row numbers over
     the rate."""
     if reading.joints is not None and len(reading.joints.t) > 2:
-        yield Measurement("joints", _jitter(reading.joints.t))
+        yield Measurement("joints", _interval_jitter(reading.joints.t))
     for name, film in reading.films.items():
         if film.seen is not None and len(film.seen.repeats.t) > 2:
-            yield Measurement(name, _jitter(film.seen.repeats.t))
+            yield Measurement(name, _interval_jitter(film.seen.repeats.t))
 
 
-def _jitter(t: Array) -> float:
+def _interval_jitter(t: Array) -> float:
     """Standard deviation of intervals (s); 0 where all are alike to a microsecond, the rounding of
     stored stamps."""
     std_s = float(np.diff(t).std())
@@ -99,11 +99,11 @@ def measure_longest_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
             continue
         first, last = max(runs, key=lambda run: run[1] - run[0])
         lasting_s = float(joints.t[last] - joints.t[first])
-        text = _stuck_text(reading, number, first, last)
+        text = _repeat_text(reading, number, first, last)
         yield Measurement(name, lasting_s, None, text, at=float(y[first]))
 
 
-def _moving_rows(joints: Stored) -> Array:
+def _moving_rows(joints: StoredNumbers) -> Array:
     """Rows (N,) in which some joint moves faster than at rest."""
     ranges = value_ranges(joints.values)
     known = ranges > 0.0
@@ -112,7 +112,7 @@ def _moving_rows(joints: Stored) -> Array:
     return np.append(moving, moving[-1:])
 
 
-def _stuck_text(reading: EpisodeReading, number: int, first: int, last: int) -> str:
+def _repeat_text(reading: EpisodeReading, number: int, first: int, last: int) -> str:
     """What an action that moves says of a joint that repeats its reading in rows first to last."""
     joints, action = reading.joints, reading.action
     if joints is None or action is None or joints.names[number] not in action.names:
@@ -167,14 +167,14 @@ def measure_clipped_joints(reading: EpisodeReading) -> Iterator[Measurement]:
 def measure_jumps(reading: EpisodeReading) -> Iterator[Measurement]:
     """Shifts in the level of a joint's readings that are faster than any joint moves; of joints in
     rad."""
-    from ..estimation.faults.jumping import jumps
+    from ..estimation.faults.jumping import find_jumps
 
     joints = reading.read.joints
     if joints is None or joints.unit != "rad":
         return
     for name, y in zip(joints.names, joints.values.T, strict=True):
         finite = np.isfinite(y)
-        found = jumps(joints.t[finite], y[finite]) if finite.sum() > 2 else []
+        found = find_jumps(joints.t[finite], y[finite]) if finite.sum() > 2 else []
         text = ""
         if found:
             at, size, std = found[0]
@@ -221,7 +221,7 @@ def measure_row_counts(reading: EpisodeReading) -> Iterator[Measurement]:
         yield Measurement("", abs(reading.rows - reading.declared_rows) / reading.declared_rows)
 
 
-def _finite_columns(joints: Stored | None) -> Iterator[tuple[str, Array]]:
+def _finite_columns(joints: StoredNumbers | None) -> Iterator[tuple[str, Array]]:
     if joints is None:
         return
     for name, column in zip(joints.names, joints.values.T, strict=True):

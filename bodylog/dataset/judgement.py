@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..types import Array, Score
-from ..wording import listed
+from ..wording import list_in_words
 from .checks import BY_NAME, Check
-from .siblings import LEAST_EPISODES, Outlier, Pooled, find_outliers, own_std, pool
+from .siblings import LEAST_EPISODES, Outlier, PooledFigure, find_outliers, own_std, pool_values
 from .views import Views, compare_views, find_moved, moved_sentences
 
 Row = dict[str, Any]
@@ -81,26 +81,26 @@ class DatasetJudgement:
     pooled: Mapping[str, PooledDelay] = field(default_factory=dict)
 
 
-def judge(
+def judge_episodes(
     rows: Sequence[Row], evidence: Mapping[str, Evidence], findings: Sequence[str] = ()
 ) -> DatasetJudgement:
     """Judge the rows of a dataset's episodes; `findings`: what is wrong with the dataset's own
     files."""
     names = [row["name"] for row in rows if row["name"] in evidence]
     views = compare_views(names, evidence)
-    table = _compared(names, evidence)
+    table = _comparable_figures(names, evidence)
     looks = sum(int(np.isfinite(values).sum()) for values, _, _ in table.values())
     looks += sum(int(np.isfinite(one.moves).sum()) for one in views.values())
     moved = {camera: find_moved(one, looks) for camera, one in views.items()}
     single = {camera: outliers for camera, (outliers, _) in moved.items()}
-    odd = sorted(_outliers(names, evidence, table, single, looks), key=lambda one: -one.z)
+    odd = sorted(_find_standouts(names, evidence, table, single, looks), key=lambda one: -one.z)
     outliers = tuple(one for one in odd if one.accused)
-    told = [
+    summary_findings = [
         _with_outliers(row, [one for one in odd if one.episode == row["name"]]) for row in rows
     ]
-    doubles = tuple(_duplicates(names, evidence))
-    pooled = _pooled(names, evidence, outliers)
-    scores = tuple(_scores(rows, evidence, outliers, pooled, views))
+    doubles = tuple(_duplicate_sentences(names, evidence))
+    pooled = _pool_delays(names, evidence, outliers)
+    scores = tuple(_dataset_scores(rows, evidence, outliers, pooled, views))
     lasting = [
         text
         for camera, (_, step) in moved.items()
@@ -108,8 +108,8 @@ def judge(
     ]
     whole = (*findings, *doubles, *lasting)
     differing = [one for one in odd if not one.accused]
-    verdict = tuple(_verdict(rows, names, evidence, outliers, differing, pooled, whole))
-    return DatasetJudgement(told, evidence, verdict, scores, outliers, whole, pooled)
+    verdict = tuple(_dataset_verdict(rows, names, evidence, outliers, differing, pooled, whole))
+    return DatasetJudgement(summary_findings, evidence, verdict, scores, outliers, whole, pooled)
 
 
 def _with_outliers(row: Row, outliers: Sequence[StandsOut]) -> Row:
@@ -118,7 +118,7 @@ def _with_outliers(row: Row, outliers: Sequence[StandsOut]) -> Row:
     return {**row, "findings": [*row["findings"], *texts], "verdict": verdict}
 
 
-def _outliers(
+def _find_standouts(
     names: Sequence[str], evidence: Mapping[str, Evidence], table: Table,
     moved: Mapping[str, Sequence[Outlier]], looks: int,
 ) -> Iterator[StandsOut]:  # fmt: skip
@@ -133,7 +133,7 @@ def _outliers(
         found |= {(one.number, f"moved/{camera}"): one for one in outliers}
     for number in sorted({number for number, _ in found}):
         own = {figure: one for (k, figure), one in found.items() if k == number}
-        yield from _told(names[number], own, table)
+        yield from _explain_outliers(names[number], own, table)
 
 
 def _is_at_stop(
@@ -158,7 +158,7 @@ def _is_at_stop(
     return not min(lows) + margin < at < max(highs) - margin
 
 
-def _compared(
+def _comparable_figures(
     names: Sequence[str], evidence: Mapping[str, Evidence]
 ) -> dict[str, tuple[Array, Array, float]]:
     """Values, standard errors (N,) and resolution of each figure by which siblings are compared."""
@@ -172,7 +172,7 @@ def _compared(
         values = np.array([value for value, *_ in known])
         resolution = check.resolution
         if check.unit == "joint":
-            resolution *= _span(figure.partition("/")[2], names, evidence)
+            resolution *= _joint_travel(figure.partition("/")[2], names, evidence)
         found[figure] = (
             values,
             np.array([own_std(std, shared) for _, std, shared, _ in known]),
@@ -186,7 +186,7 @@ def check_of(figure: str) -> Check | None:
     return BY_NAME.get(figure) or BY_NAME.get(figure.partition("/")[0])
 
 
-def _span(joint: str, names: Sequence[str], evidence: Mapping[str, Evidence]) -> float:
+def _joint_travel(joint: str, names: Sequence[str], evidence: Mapping[str, Evidence]) -> float:
     """What a joint, or the widest of all, moves in an episode, at the median over episodes."""
     spans = []
     for name in names:
@@ -208,41 +208,41 @@ _JOINT_CAUSES = ("clipped", "longest_repeat", "jumps", "still")
 _JOINT_FIGURES = ("start", "mean", "size", "longest_repeat", "clipped", "still", "error")
 
 
-def _told(
+def _explain_outliers(
     episode: str, own: Mapping[str, Outlier], table: Table
 ) -> Iterator[StandsOut]:
     """The causes that explain what is odd of an episode, the strongest explanations first."""
     left = dict(own)
-    yield from _other_unit(episode, left, table)
-    yield from _swapped(episode, left, table)
-    if len(left) < len(own) or any(_name(figure) in _JOINT_CAUSES for figure in left):
-        left = {f: one for f, one in left.items() if _name(f) not in _AGAINST_JOINTS}
+    yield from _find_other_unit(episode, left, table)
+    yield from _find_swapped_joints(episode, left, table)
+    if len(left) < len(own) or any(_check_name(figure) in _JOINT_CAUSES for figure in left):
+        left = {f: one for f, one in left.items() if _check_name(f) not in _AGAINST_JOINTS}
     for part in sorted({figure.partition("/")[2] for figure in left}):
         group = {figure: one for figure, one in left.items() if figure.partition("/")[2] == part}
-        accusing = [figure for figure in group if _accuses(figure)]
+        accusing = [figure for figure in group if _figure_accuses(figure)]
         # the figure that says most of the cause comes first in the table of checks
-        first = min(accusing or group, key=_rank)
+        first = min(accusing or group, key=_check_rank)
         z = max(group[figure].z for figure in accusing or group)
-        text = _text(first, group[first])
+        text = _outlier_text(first, group[first])
         yield StandsOut(episode, tuple(sorted(group)), z, text, bool(accusing))
 
 
-def _accuses(figure: str) -> bool:
+def _figure_accuses(figure: str) -> bool:
     check = check_of(figure)
     return check is not None and check.accuses
 
 
-def _rank(figure: str) -> int:
+def _check_rank(figure: str) -> int:
     """Place of a figure's check in the table."""
-    return list(BY_NAME).index(_name(figure))
+    return list(BY_NAME).index(_check_name(figure))
 
 
-def _name(figure: str) -> str:
+def _check_name(figure: str) -> str:
     check = check_of(figure)
     return "" if check is None else check.name
 
 
-def _other_unit(
+def _find_other_unit(
     episode: str, left: dict[str, Outlier], table: Table
 ) -> Iterator[StandsOut]:
     """All joints larger or smaller by one factor: another unit."""
@@ -266,7 +266,7 @@ def _other_unit(
     yield StandsOut(episode, figures, z, text)
 
 
-def _swapped(
+def _find_swapped_joints(
     episode: str, left: dict[str, Outlier], table: Table
 ) -> Iterator[StandsOut]:
     """Two joints of which each has the other's usual posture."""
@@ -278,7 +278,7 @@ def _swapped(
         }
         for a in sorted(odd):
             for b in sorted(odd):
-                if a < b and a in odd and b in odd and _exchanged(odd[a], odd[b]):
+                if a < b and a in odd and b in odd and _values_are_exchanged(odd[a], odd[b]):
                     figures = tuple(figure for figure in left if figure.partition("/")[2] in (a, b))
                     z = max(left[figure].z for figure in figures)
                     for figure in figures:
@@ -289,13 +289,13 @@ def _swapped(
                     break
 
 
-def _exchanged(a: Outlier, b: Outlier) -> bool:
+def _values_are_exchanged(a: Outlier, b: Outlier) -> bool:
     """Whether each value is near the other's siblings and far from its own."""
     near = max(abs(a.value - b.others), abs(b.value - a.others))
     return near < SWAP_SHARE * min(abs(a.value - a.others), abs(b.value - b.others))
 
 
-def _text(figure: str, one: Outlier) -> str:
+def _outlier_text(figure: str, one: Outlier) -> str:
     check = check_of(figure)
     assert check is not None
     unit = {"s": "s", "1": "", "joint": ""}.get(check.unit, check.unit)
@@ -307,7 +307,7 @@ def _text(figure: str, one: Outlier) -> str:
     )
 
 
-def _duplicates(names: Sequence[str], evidence: Mapping[str, Evidence]) -> Iterator[str]:
+def _duplicate_sentences(names: Sequence[str], evidence: Mapping[str, Evidence]) -> Iterator[str]:
     """Episodes whose joints and actions are equal in every number."""
     digests = Counter(evidence[name]["digest"] for name in names if evidence[name]["digest"])
     for digest, count in digests.items():
@@ -316,7 +316,7 @@ def _duplicates(names: Sequence[str], evidence: Mapping[str, Evidence]) -> Itera
             yield f"{' and '.join(same)} are the same episode: equal in every number"
 
 
-def _pooled(
+def _pool_delays(
     names: Sequence[str], evidence: Mapping[str, Evidence], outliers: Sequence[StandsOut]
 ) -> dict[str, PooledDelay]:
     """Delays over episodes by figure, without those of episodes that stand out in it."""
@@ -328,7 +328,7 @@ def _pooled(
     for figure in figures:
         camera = figure.partition("/")[2]
         rolling = pooled_row_time(camera, names, evidence)
-        told = []
+        summary_findings = []
         for name in names:
             value, std, shared, _ = evidence[name]["figures"].get(figure, _UNMEASURED)
             if std is None or (name, figure) in odd:
@@ -339,25 +339,25 @@ def _pooled(
             if rolling is not None and row is not None and abs(row) * rolling.std < shared:
                 # rows above the middle are read earlier, and show joints of an earlier time
                 value, shared = value + row * rolling.mean, abs(row) * rolling.std
-            told.append((value, own, float(np.hypot(shared, method))))
-        if told:
-            values, stds, shares = np.array(told).T
-            one = pool(values, stds)
+            summary_findings.append((value, own, float(np.hypot(shared, method))))
+        if summary_findings:
+            values, stds, shares = np.array(summary_findings).T
+            one = pool_values(values, stds)
             found[figure] = PooledDelay(one.mean, one.std, float(shares.mean()), one.jitter)
     return found
 
 
 def pooled_row_time(
     camera: str, names: Sequence[str], evidence: Mapping[str, Evidence]
-) -> Pooled | None:
+) -> PooledFigure | None:
     """The time (s) that a camera's rolling shutter takes, over episodes; None of fewer than
     LEAST_EPISODES, of which the scatter does not tell the error."""
     known = [evidence[name]["figures"].get(f"row_time/{camera}") for name in names]
-    told = np.array([(one[0], one[1]) for one in known if one is not None and one[1] is not None])
-    return pool(*told.T) if len(told) >= LEAST_EPISODES else None
+    summary_findings = np.array([(one[0], one[1]) for one in known if one is not None and one[1] is not None])
+    return pool_values(*summary_findings.T) if len(summary_findings) >= LEAST_EPISODES else None
 
 
-def _scores(
+def _dataset_scores(
     rows: Sequence[Row], evidence: Mapping[str, Evidence], outliers: Sequence[StandsOut],
     pooled: Mapping[str, PooledDelay], views: Mapping[str, Views],
 ) -> Iterator[Score]:  # fmt: skip
@@ -374,23 +374,23 @@ def _scores(
             yield Score(f"row_time/{figure.partition('/')[2]}", rolling.mean, "s", rolling.std)
     for camera, one_view in views.items():
         yield Score(f"moved/{camera}", float(np.nanmax(one_view.moved_px)), "px")
-    for figure in _medians(evidence):
-        yield Score(figure, _median(figure, evidence), BY_NAME[figure.partition("/")[0]].unit)
+    for figure in _list_median_figures(evidence):
+        yield Score(figure, _median_over_episodes(figure, evidence), BY_NAME[figure.partition("/")[0]].unit)
 
 
-def _medians(evidence: Mapping[str, Evidence]) -> list[str]:
+def _list_median_figures(evidence: Mapping[str, Evidence]) -> list[str]:
     kinds = ("repeated", "rate", "dropped", "frozen", "black", "saturated", "idle")
     return sorted(
         {f for one in evidence.values() for f in one["figures"] if f.partition("/")[0] in kinds}
     )
 
 
-def _median(figure: str, evidence: Mapping[str, Evidence]) -> float:
+def _median_over_episodes(figure: str, evidence: Mapping[str, Evidence]) -> float:
     values = [one["figures"][figure][0] for one in evidence.values() if figure in one["figures"]]
     return float(np.median(values))
 
 
-def _verdict(
+def _dataset_verdict(
     rows: Sequence[Row], names: Sequence[str], evidence: Mapping[str, Evidence],
     outliers: Sequence[StandsOut], differing: Sequence[StandsOut],
     pooled: Mapping[str, PooledDelay], whole: Sequence[str],
@@ -401,12 +401,12 @@ def _verdict(
     unusable = [row["name"] for row in rows if row["exit_code"] not in (0, 3, 4)]
     odd = list(dict.fromkeys(one.episode for one in outliers))
     text = f"{len(rows)} episodes, {seconds:.0f} s"
-    text += f"; {len(odd)} stand out: {listed(odd)}" if odd else "; none stands out from the others"
-    text += f"; {len(unusable)} cannot be used: {listed(unusable)}" if unusable else ""
+    text += f"; {len(odd)} stand out: {list_in_words(odd)}" if odd else "; none stands out from the others"
+    text += f"; {len(unusable)} cannot be used: {list_in_words(unusable)}" if unusable else ""
     yield text
-    others = [f"{one.episode} ({min(one.figures, key=_rank)})" for one in differing]
+    others = [f"{one.episode} ({min(one.figures, key=_check_rank)})" for one in differing]
     if others:
-        yield f"differ from the others, perhaps for good reasons: {listed(others)}"
+        yield f"differ from the others, perhaps for good reasons: {list_in_words(others)}"
     yield from _camera_sentences(evidence)
     for figure, one in pooled.items():
         yield _delay_sentence(figure, one)
@@ -420,9 +420,9 @@ def _verdict(
 
 def _camera_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:
     """True frame rates, and cameras of whose pictures a share is lost to a learner."""
-    for figure in _medians(evidence):
+    for figure in _list_median_figures(evidence):
         kind, _, camera = figure.partition("/")
-        if kind == "repeated" and (share := _median(figure, evidence)) >= REPORTED_SHARE:
+        if kind == "repeated" and (share := _median_over_episodes(figure, evidence)) >= REPORTED_SHARE:
             stored = [
                 one["cameras"][camera]["stored_hz"]
                 for one in evidence.values()
@@ -440,7 +440,7 @@ def _camera_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:
             some = [name for name, share in figures.items() if share >= REPORTED_SHARE]
             if some:
                 count = f"{len(some)} of {len(evidence)} episodes"
-                yield f"{camera}: {kind} images in {count}: {listed(some)}"
+                yield f"{camera}: {kind} images in {count}: {list_in_words(some)}"
 
 
 def _delay_sentence(figure: str, one: PooledDelay) -> str:
@@ -470,7 +470,7 @@ def _joint_sentences(names: Sequence[str], evidence: Mapping[str, Evidence]) -> 
         )
     never = [joint for joint, count in still.items() if count == len(joints)]
     if never:
-        yield f"never moved in any episode: {listed(never)}"
+        yield f"never moved in any episode: {list_in_words(never)}"
     for what, values in (
         ("units", [one["unit"] for one in joints]),
         ("joints", [str(one["names"]) for one in joints]),

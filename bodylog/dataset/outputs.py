@@ -9,12 +9,12 @@ import numpy as np
 
 from ..errors import BoundError
 from ..evaluation import bounds as score_bounds
-from ..io.atomic_files import replacing
-from ..io.atomic_files import text as read_text
+from ..io.atomic_files import replace_atomically
+from ..io.atomic_files import read_limited_text as read_text
 from ..io.values import read_json
 from ..types import Array
 from .files import dataset_findings
-from .judgement import DatasetJudgement, Evidence, Row, judge
+from .judgement import DatasetJudgement, Evidence, Row, judge_episodes
 
 EVIDENCE = "evidence.json"
 DATASET = "dataset"
@@ -28,7 +28,7 @@ def judge_dataset(out: Path, rows: Sequence[Row]) -> DatasetJudgement:
     findings = tuple(
         dict.fromkeys(dataset_findings({row["name"]: row["log"] for row in rows}, evidence))
     )
-    return judge(rows, evidence, findings)
+    return judge_episodes(rows, evidence, findings)
 
 
 def read_evidence(out: Path, rows: Sequence[Row]) -> dict[str, Evidence]:
@@ -51,9 +51,9 @@ def dataset_row(judged: DatasetJudgement, bounds: Sequence[str]) -> Row:
     """The row of the whole: its verdict, scores with standard errors, outliers; a bound on these
     may be broken."""
     code, error = 0, None
-    known = [score_bounds.parse(text) for text in bounds]
+    known = [score_bounds.parse_bound(text) for text in bounds]
     try:
-        score_bounds.check({DATASET: judged.scores}, score_bounds.measured(judged.scores, known))
+        score_bounds.check_bounds({DATASET: judged.scores}, score_bounds.select_measured_bounds(judged.scores, known))
     except BoundError as problem:
         code, error = problem.exit_code, str(problem)
     return {
@@ -72,7 +72,7 @@ def dataset_row(judged: DatasetJudgement, bounds: Sequence[str]) -> Row:
     }
 
 
-def page(judged: DatasetJudgement) -> str:
+def render_dataset_page(judged: DatasetJudgement) -> str:
     """The page about a dataset as text."""
     from ..report.page.dataset_page import dataset_page
 
@@ -83,10 +83,10 @@ def page(judged: DatasetJudgement) -> str:
 def write_table(rows: Sequence[Row], path: Path) -> None:
     """Write a table with a row per episode: .parquet, or CSV; UsageError for Parquet without
     pyarrow."""
-    from ..recording.tables import saver
+    from ..recording.tables import choose_table_writer
 
-    save = saver("parquet" if path.suffix == ".parquet" else "csv")
-    with replacing(path) as beside:
+    save = choose_table_writer("parquet" if path.suffix == ".parquet" else "csv")
+    with replace_atomically(path) as beside:
         save(table_columns(rows), beside)
 
 

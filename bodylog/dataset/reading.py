@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..delay_findings import LONGEST, MOST_FLOW_IMAGES, middle
+from ..delay_findings import MAX_DURATION_S, MOST_FLOW_IMAGES, middle_of_recording
 from ..errors import LogError
 from ..flow_findings import delay_by_flow, has_motion
 from ..perception.surface.flow import measure_grid_flow
-from ..recording.cameras import camera_name
+from ..recording.cameras import camera_name_of_source
 from ..recording.role_hints import camera_topics
 from ..settings import Settings
-from ..types import Array, Finding, Frame, Recording
+from ..types import Array, Finding, LazyImage, Recording
 
 if TYPE_CHECKING:
     from ..estimation.timing.flow_delay import FlowDelay
-    from ..logs.datasets.episode_log import Camera, EpisodeLog, Signal
+    from ..logs.datasets.episode_log import EpisodeCamera, EpisodeLog, EpisodeSignal
     from ..perception.surface.flow import GridFlow
 
 
 @dataclass(frozen=True, eq=False)
-class Stored:
+class StoredNumbers:
     """Numbers as stored, counts whose turn is known in degrees: t (N,) s since the first joint
     reading · values (N,K) · names (K,) · their unit."""
 
@@ -41,7 +41,7 @@ class Stored:
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class CameraFilm:
     """A camera's images: what was seen of them (None of fewer than two), and the delay by flow
     (None: not tried).
 
@@ -64,9 +64,9 @@ class EpisodeReading:
     table · findings of the readers.
     """
 
-    joints: Stored | None
-    action: Stored | None
-    films: Mapping[str, Film]
+    joints: StoredNumbers | None
+    action: StoredNumbers | None
+    films: Mapping[str, CameraFilm]
     read: Recording
     rows: int
     declared_rows: int | None = None
@@ -86,8 +86,8 @@ def read_episode(log: Path, settings: Settings) -> EpisodeReading:
         topics = camera_topics(opened.topics)
     if episode is None and not settings.topics.cameras and topics:
         settings = replace(settings, topics=replace(settings.topics, camera=tuple(topics)))
-    whole = recording.read(log, settings, settings.input.strict)
-    read = middle(whole, LONGEST, MOST_FLOW_IMAGES)
+    whole = recording.read_recording(log, settings, settings.input.strict)
+    read = middle_of_recording(whole, MAX_DURATION_S, MOST_FLOW_IMAGES)
     films = _films_of_log(read) if episode is None else _films_of_episode(episode, read)
     by_flow = settings.time.delay != "off" and settings.kinematics.urdf is None and has_motion(read)
     if by_flow:
@@ -96,35 +96,35 @@ def read_episode(log: Path, settings: Settings) -> EpisodeReading:
             for name, film in films.items()
         }
     found = whole.joints
-    joints = None if found is None else Stored(found.t, found.values, found.names, found.unit)
+    joints = None if found is None else StoredNumbers(found.t, found.values, found.names, found.unit)
     reading = EpisodeReading(joints, None, films, whole, 0 if joints is None else len(joints.t))
     if episode is not None:
         reading = _with_stored_rows(reading, episode)
     return replace(reading, findings=tuple(dict.fromkeys((*whole.findings, *reading.findings))))
 
 
-def _films_of_log(read: Recording) -> dict[str, Film]:
+def _films_of_log(read: Recording) -> dict[str, CameraFilm]:
     """What is seen of each camera of a log, by its topic's name."""
-    first = camera_name(read.roles["camera"]) if "camera" in read.roles else ""
+    first = camera_name_of_source(read.roles["camera"]) if "camera" in read.roles else ""
     found = {}
     for name, film in {"": read.frames, **read.views}.items():
         if film is not None:
-            frames = _Counted(film())
+            frames = _CountedFrames(film())
             seen = measure_grid_flow(frames)
-            found[name or first] = Film(seen, None, frames.count, frames.count - _seen_count(seen))
+            found[name or first] = CameraFilm(seen, None, frames.count, frames.count - _seen_count(seen))
     return found
 
 
-def _films_of_episode(log: "EpisodeLog", read: Recording) -> dict[str, Film]:
+def _films_of_episode(log: "EpisodeLog", read: Recording) -> dict[str, CameraFilm]:
     """What is seen of each camera of a dataset's episode; images are decoded as grey ones, for no
     check needs more."""
     found = {}
     for camera in log.cameras.values():
         t = (camera.ns - read.start_ns) / 1e9
-        spare = max(0.0, 0.5 * (read.duration_s - LONGEST))
-        frames = _Counted(grey_frames(camera, t, spare, read.duration_s - spare))
+        spare = max(0.0, 0.5 * (read.duration_s - MAX_DURATION_S))
+        frames = _CountedFrames(grey_frames(camera, t, spare, read.duration_s - spare))
         seen = measure_grid_flow(frames)
-        found[camera_name(camera.topic)] = Film(
+        found[camera_name_of_source(camera.topic)] = CameraFilm(
             seen, None, frames.count, frames.count - _seen_count(seen)
         )
     return found
@@ -134,31 +134,31 @@ def _seen_count(seen: "GridFlow | None") -> int:
     return 0 if seen is None else len(seen.brightness)
 
 
-class _Counted:
+class _CountedFrames:
     """Frames, counted as they pass."""
 
-    def __init__(self, frames: Iterator[Frame]) -> None:
+    def __init__(self, frames: Iterator[LazyImage]) -> None:
         self._frames = frames
         self.count = 0
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[LazyImage]:
         """The frames."""
         for frame in self._frames:
             self.count += 1
             yield frame
 
 
-def grey_frames(camera: "Camera", t: Array, begin: float, end: float) -> Iterator[Frame]:
+def grey_frames(camera: "EpisodeCamera", t: Array, begin: float, end: float) -> Iterator[LazyImage]:
     """The frames of a camera at t (N,) s that lie from begin to end (s), as grey images where these
     cost less."""
     read = camera.read if camera.read_grey is None else camera.read_grey
     for number, image in read():
         at = float(t[number])
         if begin <= at <= end:
-            yield Frame(at, int(camera.ns[number]), partial(_decode, image), False)
+            yield LazyImage(at, int(camera.ns[number]), partial(_decode_image, image), False)
 
 
-def _decode(image: "Array | bytes | None", _shrink: int) -> Array:
+def _decode_image(image: "Array | bytes | None", _shrink: int) -> Array:
     """An image as a camera of an episode gives it; LogError for one that cannot be decoded."""
     import cv2
 
@@ -183,8 +183,8 @@ def _with_stored_rows(reading: EpisodeReading, log: "EpisodeLog") -> EpisodeRead
     texts = [Finding("warning", f"{log.path}: {text}") for text in length_texts(log)]
     return replace(
         reading,
-        joints=reading.joints if joints is None else _stored(joints, start_ns),
-        action=None if action is None else _stored(action, start_ns),
+        joints=reading.joints if joints is None else _stored_numbers(joints, start_ns),
+        action=None if action is None else _stored_numbers(action, start_ns),
         rows=max((len(one.ns) for one in log.signals), default=0),
         declared_rows=log.episode.length,
         features={one.metadata.get(FEATURE, one.topic): one.values for one in log.signals},
@@ -192,11 +192,11 @@ def _with_stored_rows(reading: EpisodeReading, log: "EpisodeLog") -> EpisodeRead
     )
 
 
-def _stored(signal: "Signal", start_ns: int) -> Stored:
+def _stored_numbers(signal: "EpisodeSignal", start_ns: int) -> StoredNumbers:
     from ..logs.joint_units import joint_unit
 
     known = joint_unit(signal.metadata, "rad")
     t, values, shown = (signal.ns - start_ns) / 1e9, signal.values, known.read
     if known.read == "counts" and known.unit == "rad":
         values, shown = np.rad2deg((values - known.zero) * known.factor), "deg"
-    return Stored(t, values, signal.names, shown)
+    return StoredNumbers(t, values, signal.names, shown)

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..choices import EXCLUDED
 from ..errors import InputError, UsageError
 from ..io import episodes
-from ..recording.cameras import camera_name
+from ..recording.cameras import camera_name_of_source
 from ..settings import Settings
 from .camera_checks import LATE_S, REPEATED_SHARE
 from .judgement import DatasetJudgement, Row
@@ -50,7 +50,7 @@ def choose_remedies(
     copies = dict(_copies(judged))
     found = []
     for row in judged.rows:
-        number = episodes.split(Path(row["log"]))[1]
+        number = episodes.split_episode_name(Path(row["log"]))[1]
         assert number is not None
         why = _reason(row, judged, copies, exclude)
         if why:
@@ -72,10 +72,10 @@ def choose_remedies(
 def _only_folder(rows: Sequence[Row]) -> Path:
     from ..logs.datasets import kinds
 
-    bases = {episodes.split(Path(row["log"])) for row in rows}
+    bases = {episodes.split_episode_name(Path(row["log"])) for row in rows}
     folders = {base for base, number in bases if number is not None}
     named = all(number is not None for _, number in bases)
-    if len(folders) == 1 and named and kinds.is_dataset(folder := next(iter(folders))):
+    if len(folders) == 1 and named and kinds.is_episode_dataset(folder := next(iter(folders))):
         return folder
     some = next(iter(rows))["log"] if rows else "nothing"
     raise UsageError(
@@ -94,7 +94,7 @@ def camera_features(log: Path, settings: Settings) -> dict[str, str]:
         if not isinstance(opened, EpisodeLog):
             raise InputError(f"{log}: is no episode of a dataset")
         cameras = opened.cameras.values()
-        return {camera_name(one.topic): one.metadata[FEATURE] for one in cameras}
+        return {camera_name_of_source(one.topic): one.metadata[FEATURE] for one in cameras}
 
 
 def _copies(judged: DatasetJudgement) -> Iterator[tuple[str, str]]:

@@ -17,7 +17,7 @@ _ROUNDS = 50
 
 
 @dataclass(frozen=True)
-class Pooled:
+class PooledFigure:
     """A figure over episodes: mean, its standard error, and the jitter, the standard deviation
     between episodes that the figures' own errors do not explain."""
 
@@ -50,7 +50,7 @@ class Step:
     bound: float
 
 
-def pool(values: Array, std: Array) -> Pooled:
+def pool_values(values: Array, std: Array) -> PooledFigure:
     """The random-effects mean of values (N,) with standard errors (N,), by Paule & Mandel (1982).
 
     The jitter τ² is that for which Σ (x − μ)² / (σ² + τ²) = N − 1; where Σ is less without it, it
@@ -58,23 +58,23 @@ def pool(values: Array, std: Array) -> Pooled:
     the value for it.
     """
     if len(values) == 1:
-        return Pooled(float(values[0]), float(std[0]), 0.0)
+        return PooledFigure(float(values[0]), float(std[0]), 0.0)
     low, high = 0.0, float(np.ptp(values)) ** 2
-    if _misfit(values, std, low)[0] <= len(values) - 1:
+    if _weighted_squared_errors(values, std, low)[0] <= len(values) - 1:
         high = 0.0
     for _ in range(_ROUNDS):
         middle = 0.5 * (low + high)
-        if _misfit(values, std, middle)[0] > len(values) - 1:
+        if _weighted_squared_errors(values, std, middle)[0] > len(values) - 1:
             low = middle
         else:
             high = middle
     jitter2 = high
-    misfit, mean, information = _misfit(values, std, jitter2)
+    misfit, mean, information = _weighted_squared_errors(values, std, jitter2)
     scale = max(1.0, misfit / (len(values) - 1))
-    return Pooled(mean, float(np.sqrt(scale / information)), float(np.sqrt(jitter2)))
+    return PooledFigure(mean, float(np.sqrt(scale / information)), float(np.sqrt(jitter2)))
 
 
-def _misfit(values: Array, std: Array, jitter2: float) -> tuple[float, float, float]:
+def _weighted_squared_errors(values: Array, std: Array, jitter2: float) -> tuple[float, float, float]:
     """Squared errors over their variances, the weighted mean, and its information."""
     weights = 1.0 / np.maximum(std**2 + jitter2, 1e-24)
     mean = float((weights * values).sum() / weights.sum())
@@ -102,7 +102,7 @@ def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> l
     count = 0
     for _ in range(max(1, int(LARGEST_SHARE * len(rest)))):
         student = float(-stdtrit(len(rest) - 2, tail))
-        found = [_compare(values, std, rest, int(k), resolution, student, normal) for k in rest]
+        found = [_compare_with_others(values, std, rest, int(k), resolution, student, normal) for k in rest]
         farthest = max(found, key=lambda one: one.z / one.bound)
         removed.append(farthest)
         if farthest.z > farthest.bound:
@@ -112,7 +112,7 @@ def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> l
     sound = np.setdiff1d(np.flatnonzero(np.isfinite(values)), outliers)
     student = float(-stdtrit(max(len(sound) - 1, 1), tail))
     # distances beside further outliers are short: each is reported as it is farthest
-    alone = [_compare(values, std, sound, k, resolution, student, normal) for k in outliers]
+    alone = [_compare_with_others(values, std, sound, k, resolution, student, normal) for k in outliers]
     pairs = zip(removed[:count], alone, strict=True)
     return [max(pair, key=lambda one: one.z / one.bound) for pair in pairs]
 
@@ -146,7 +146,7 @@ def find_step(values: Array, resolution: float, looks: int) -> Step | None:
     return best if best is not None and best.z > best.bound else None
 
 
-def _compare(
+def _compare_with_others(
     values: Array, std: Array, rest: Array, number: int, resolution: float, student: float,
     normal: float,
 ) -> Outlier:  # fmt: skip

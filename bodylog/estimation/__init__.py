@@ -6,57 +6,57 @@ from dataclasses import asdict, replace
 from ..body_model import BodyModel
 from ..errors import UsageError
 from ..runtime.blas_threads import one_thread
-from ..settings import Estimation
+from ..settings import EstimationSettings
 from ..types import Estimate, Features
 from .common_cause import infer_common_causes
 from .faults.consistency import consistency_findings
 from .inference import kernel
 from .measurements import gather
-from .methods.finite import finite, solvable
+from .methods.finite import require_finite_estimate, report_numerical_errors
 from .methods.table import METHODS, ignored_settings
 from .noise import typed
-from .noise.angle_unit import UNIT, as_angles, in_units, unit_of
-from .poses.estimate import estimate as still_poses
-from .timing.correction import add_delay_uncertainty, as_stamped, corrected
+from .noise.angle_unit import JOINT_UNIT_KEY, as_angles, in_units, unit_of
+from .poses.estimate import estimate_still_poses as still_poses
+from .timing.correction import add_delay_uncertainty, restore_stamps, correct_camera_delays
 
-__all__ = ["METHODS", "check", "estimate"]
+__all__ = ["METHODS", "check_estimation_settings", "estimate_from_features"]
 
 
-def estimate(
-    features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float] = "auto"
+def estimate_from_features(
+    features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float] = "auto"
 ) -> Estimate:
-    """Estimate by `settings.method` after each camera's `delay` is corrected (see `corrected`).
+    """Estimate by `settings.method` after each camera's `delay` is corrected (see `correct_camera_delays`).
 
     All its numbers are finite; otherwise ModelError, EvidenceError or UsageError.
     """
-    check(body, settings)
+    check_estimation_settings(body, settings)
     unit, size = unit_of(features.joints) if "encoders" not in body.senses else ("rad", 1.0)
     if size != 1.0 and not body.senses and not settings.typed and settings.start is None:
-        angles = estimate(as_angles(features, size), body, settings, delay)
+        angles = estimate_from_features(as_angles(features, size), body, settings, delay)
         found = in_units(angles, unit, size)
-        return replace(found, settings={**found.settings, UNIT: unit})
+        return replace(found, settings={**found.settings, JOINT_UNIT_KEY: unit})
     method = METHODS[settings.method]
-    with one_thread(), solvable(settings.method):
+    with one_thread(), report_numerical_errors(settings.method):
         if features.poses:
             found = still_poses(features, body, settings, method.can)
         else:
-            found = _timely(features, body, settings, delay)
-    used = {**found.settings, **({} if unit == "rad" else {UNIT: unit})}
+            found = _estimate_with_corrected_times(features, body, settings, delay)
+    used = {**found.settings, **({} if unit == "rad" else {JOINT_UNIT_KEY: unit})}
     found = replace(found, can=method.can, settings=used)
     return replace(found, findings=(*found.findings, *consistency_findings(found, settings, unit, size)))
 
 
-def _timely(features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float]) -> Estimate:
+def _estimate_with_corrected_times(features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float]) -> Estimate:
     """The method's estimate from images at the time when they were taken."""
-    timely = corrected(features, body, delay)
+    timely = correct_camera_delays(features, body, delay)
 
-    def solve(sensed: Features, chosen: Estimation) -> Estimate:
-        return finite(METHODS[settings.method].estimate(sensed, body, chosen))
+    def solve(sensed: Features, chosen: EstimationSettings) -> Estimate:
+        return require_finite_estimate(METHODS[settings.method].estimate(sensed, body, chosen))
 
     found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
     used = dict(found.settings)
     if timely.delays:
-        found = as_stamped(found, features, timely.features)
+        found = restore_stamps(found, features, timely.features)
         used |= {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
     if timely.measured:
         found = add_delay_uncertainty(found, timely)
@@ -70,12 +70,12 @@ def _timely(features: Features, body: BodyModel, settings: Estimation, delay: st
     return replace(found, settings=used, findings=findings)
 
 
-def check(body: BodyModel, settings: Estimation) -> None:
+def check_estimation_settings(body: BodyModel, settings: EstimationSettings) -> None:
     """UsageError for a method, form of touch, preset or sense that does not exist or that the method cannot use.
 
     Also without the compiled library, which is no fault of a log.
     """
-    kernel.library()
+    kernel.load_library()
     if settings.method not in METHODS:
         raise UsageError(f"method: {settings.method!r} is unknown; possible: {', '.join(METHODS)}")
     method = METHODS[settings.method]
@@ -85,5 +85,5 @@ def check(body: BodyModel, settings: Estimation) -> None:
     if settings.preset == "paper" and not method.can.from_paper:
         able = " or --method ".join(name for name, one in METHODS.items() if one.can.from_paper)
         raise UsageError(f"preset: 'paper' is not for {settings.method}; type --method {able}")
-    gather.chosen((), body, settings)
-    typed.check(settings, body.joints, [name for name in body.senses if name != "encoders"])
+    gather.choose_senses((), body, settings)
+    typed.check_typed_variances(settings, body.joints, [name for name in body.senses if name != "encoders"])

@@ -11,14 +11,14 @@ import numpy as np
 
 from ..body_model import BodyModel, ForwardModel
 from ..errors import UsageError
-from ..settings import Estimation
+from ..settings import EstimationSettings
 from ..types import Array, Estimate, Features, Synchrony
-from .measurements.long_arrays import seen as rows_seen
+from .measurements.long_arrays import find_finite_rows as rows_seen
 from .measurements.touch import place_of_cell
 
 
 def infer_common_causes(
-    features: Features, body: BodyModel, settings: Estimation, solve: Callable[[Features, Estimation], Estimate]
+    features: Features, body: BodyModel, settings: EstimationSettings, solve: Callable[[Features, EstimationSettings], Estimate]
 ) -> Features:
     """The features with each pair's probability of a common cause; unchanged without a prior or without touches.
 
@@ -33,13 +33,13 @@ def infer_common_causes(
         )
     alone = solve(features, _without_touch(settings))
     pairs = tuple(
-        replace(pair, common_cause=posterior(settings.common_cause, *_densities(features, body, alone, pair)))
+        replace(pair, common_cause=compute_common_cause_posterior(settings.common_cause, *_compute_cause_densities(features, body, alone, pair)))
         for pair in features.synchrony
     )
     return replace(features, synchrony=pairs)
 
 
-def _without_touch(settings: Estimation) -> Estimation:
+def _without_touch(settings: EstimationSettings) -> EstimationSettings:
     """The settings with every other sense."""
     if settings.senses is None:
         return replace(settings, without=(*settings.without, "touch"), common_cause=None)
@@ -51,13 +51,13 @@ def _without_touch(settings: Estimation) -> Estimation:
     return replace(settings, senses=senses, common_cause=None)
 
 
-def posterior(prior: float, one_cause: float, two_causes: float) -> float:
+def compute_common_cause_posterior(prior: float, one_cause: float, two_causes: float) -> float:
     """Probability of a common cause, by Bayes' rule from its prior and the densities of either explanation."""
     both = prior * one_cause + (1.0 - prior) * two_causes
     return float(prior * one_cause / both) if both > 0.0 else 0.0
 
 
-def _densities(features: Features, body: BodyModel, alone: Estimate, pair: Synchrony) -> tuple[float, float]:
+def _compute_cause_densities(features: Features, body: BodyModel, alone: Estimate, pair: Synchrony) -> tuple[float, float]:
     """Densities (1/px²) of where the hand is seen during a touch: with one cause, and with two."""
     assert features.hand is not None and features.picture_size is not None and features.touches is not None
     touch, hand = features.touches[pair.touch], features.hand
@@ -66,15 +66,15 @@ def _densities(features: Features, body: BodyModel, alone: Estimate, pair: Synch
     if pair.stroke is None or not during.any():
         return 0.0, 1.0 / (width * height)
     u, v, spread_variance = place_of_cell(body, touch.strongest)
-    x, cov = _belief_at(alone, body.joints, hand.t[during])
-    mean, variance = _effector_by(body.senses["effector"], x, cov)
+    x, cov = _read_belief_at(alone, body.joints, hand.t[during])
+    mean, variance = _predict_effector_place(body.senses["effector"], x, cov)
     off = (hand.values[during] - (u, v)).mean(axis=0) - mean
     total = variance + spread_variance * np.eye(2)
     density = np.exp(-0.5 * off @ np.linalg.solve(total, off)) / (2.0 * np.pi * np.sqrt(np.linalg.det(total)))
     return float(density), 1.0 / (width * height)
 
 
-def _belief_at(alone: Estimate, joints: tuple[str, ...], t: Array) -> tuple[Array, Array]:
+def _read_belief_at(alone: Estimate, joints: tuple[str, ...], t: Array) -> tuple[Array, Array]:
     """Angles (K,M) rad at times t (K,) s, and their covariance (M,M) rad² in the middle of these."""
     columns = [alone.joints.names.index(name) for name in joints]
     x = np.column_stack([np.interp(t, alone.joints.t, alone.joints.values[:, k]) for k in columns])
@@ -82,7 +82,7 @@ def _belief_at(alone: Estimate, joints: tuple[str, ...], t: Array) -> tuple[Arra
     return x, alone.cov[middle][np.ix_(columns, columns)]
 
 
-def _effector_by(model: ForwardModel, x: Array, cov: Array) -> tuple[Array, Array]:
+def _predict_effector_place(model: ForwardModel, x: Array, cov: Array) -> tuple[Array, Array]:
     """Mean place (2,) px over angles x (K,M), and its covariance (2,2) px², the model's own included."""
     mean, jac, own = model.predict(x)
     slope = jac.mean(axis=0)

@@ -7,7 +7,7 @@ from pathlib import Path
 from ..errors import BoundError, InputError, UsageError
 from ..io import atomic_files
 from ..io.values import read_json
-from ..score_names import renamed, split
+from ..score_names import current_score_name, split_score_name
 from ..types import Score
 
 _MOST_BYTES = 256 << 20
@@ -15,7 +15,7 @@ ERRORS = ("rmse/joint",)
 """Figures where more is worse."""
 
 
-def tolerance(text: str) -> float:
+def parse_tolerance(text: str) -> float:
     """A share from what was typed, "5%" or "0.05"; UsageError if it is neither, or a number that may be either."""
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(%?)\s*", text)
     if not found:
@@ -25,27 +25,27 @@ def tolerance(text: str) -> float:
     return float(found[1]) / (100 if found[2] else 1)
 
 
-def load(path: Path) -> dict[str, dict[str, float | None]]:
+def load_baseline(path: Path) -> dict[str, dict[str, float | None]]:
     """Scores by log name from a results.jsonl; InputError if it is not one."""
     try:
-        rows = [read_json(line) for line in atomic_files.text(path, _MOST_BYTES).splitlines()]
+        rows = [read_json(line) for line in atomic_files.read_limited_text(path, _MOST_BYTES).splitlines()]
         found = {row["name"]: dict(row["scores"]) for row in rows}
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise InputError(f"{path}: not a results.jsonl of a batch ({err}); type: bodylog batch LOG... -o DIR") from err
-    for name, now in ((name, renamed(name)) for scores in found.values() for name in scores):
+    for name, now in ((name, current_score_name(name)) for scores in found.values() for name in scores):
         if now is not None:
             raise InputError(f"{path}: score {name} is called {now} now; run the batch again with this version")
     return found
 
 
-def check(found: Mapping[str, Sequence[Score]], before: Mapping[str, Mapping[str, float | None]], share: float) -> None:
+def check_against_baseline(found: Mapping[str, Sequence[Score]], before: Mapping[str, Mapping[str, float | None]], share: float) -> None:
     """BoundError naming every error that grew by more than `share`; UsageError when a log is not in the baseline."""
-    worse = [text for name, scores in found.items() for text in _worse(name, scores, before, share)]
+    worse = [text for name, scores in found.items() for text in _list_grown_errors(name, scores, before, share)]
     if worse:
         raise BoundError("; ".join(worse))
 
 
-def _worse(
+def _list_grown_errors(
     name: str, scores: Sequence[Score], before: Mapping[str, Mapping[str, float | None]], share: float
 ) -> list[str]:
     if name not in before:
@@ -53,6 +53,6 @@ def _worse(
     grown = []
     for score in scores:
         old = before[name].get(score.name)
-        if split(score.name)[0] in ERRORS and old is not None and not score.value <= old * (1 + share):
+        if split_score_name(score.name)[0] in ERRORS and old is not None and not score.value <= old * (1 + share):
             grown.append(f"{name}: {score.name} was {old:.6g}, is {score.value:.6g}, more than {share:.3%} worse")
     return grown

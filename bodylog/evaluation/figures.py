@@ -2,16 +2,16 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from ..types import EITHER, Estimate, Fault, Score
+from ..types import ALTERNATIVE_SEPARATOR, Estimate, Fault, Score
 
-OFFSET = ("drifting", "jumping", "offset")
+OFFSET_KINDS = ("drifting", "jumping", "offset")
 """Kinds of fault that are offsets of an encoder."""
-KINDS = ("encoder_offset", *OFFSET, "frozen", "dead")
-SIZELESS = ("frozen", "dead")
+KINDS = ("encoder_offset", *OFFSET_KINDS, "frozen", "dead")
+SIZELESS_KINDS = ("frozen", "dead")
 """Kinds of an encoder's fault without a size."""
-SOUGHT = ("encoder_offset", "drifting", "offset")
+KINDS_NEEDING_IMAGES = ("encoder_offset", "drifting", "offset")
 """Kinds found only with images, by methods that look for them; otherwise NaN."""
-FIRST = 1.0
+OFF_FROM_START_S = 1.0
 """s: an encoder that is certainly off this early was off from the start."""
 DISPLACED = "displaced"
 """Kind of a fault that is a camera's, all of whose tracks are displaced."""
@@ -26,45 +26,45 @@ MISFIT = "misfit"
 """Key of an estimate's settings where the log does not fit the body: text, share off, explanation or None."""
 
 
-def figures(found: Estimate) -> tuple[Score, ...]:
+def list_figures(found: Estimate) -> tuple[Score, ...]:
     """Figures beside the scores: 0 for a fault or delay that was not found."""
-    return (*_faults(found), *_delays(found), *_shares(found))
+    return (*_fault_figures(found), *_delay_figures(found), *_used_share_figures(found))
 
 
-def _faults(found: Estimate) -> Iterator[Score]:
+def _fault_figures(found: Estimate) -> Iterator[Score]:
     """The largest size per kind and joint or track; 1 for faults without a size, NaN where none can be found."""
     yield Score("faults", float(len(found.faults)), "1")
     tracks = [name for name in found.used if name not in ("encoders", "touch")]
     sought = found.can.repairs and any(found.used[name].used for name in tracks)
     faults = [fault for fault in found.faults if fault.kind != DISPLACED]
-    for name in dict.fromkeys((*found.joints.names, *tracks, *(n for f in faults for n in _names(f)))):
-        others = (f.kind for f in faults if name in _names(f))
+    for name in dict.fromkeys((*found.joints.names, *tracks, *(n for f in faults for n in _split_fault_names(f)))):
+        others = (f.kind for f in faults if name in _split_fault_names(f))
         for kind in dict.fromkeys((*KINDS, *others)):
-            own = [fault for fault in found.faults if name in _names(fault) and kind in _kinds(fault)]
+            own = [fault for fault in found.faults if name in _split_fault_names(fault) and kind in _list_fault_kinds(fault)]
             unit = own[0].unit if own else "rad" if name in found.joints.names else "px"
-            unit = "1" if kind in SIZELESS and name in found.joints.names else unit
-            open_ = not own and kind in SOUGHT and not sought
-            yield Score(f"fault/{kind}/{name}", float("nan") if open_ else _greatest(own), unit)
+            unit = "1" if kind in SIZELESS_KINDS and name in found.joints.names else unit
+            open_ = not own and kind in KINDS_NEEDING_IMAGES and not sought
+            yield Score(f"fault/{kind}/{name}", float("nan") if open_ else _greatest_fault_size(own), unit)
     cameras = [name.rpartition("/")[0] or CAMERA for name in tracks]
     for name in dict.fromkeys(cameras):
         own = [fault for fault in found.faults if (fault.kind, fault.name) == (DISPLACED, name)]
-        yield Score(f"fault/{DISPLACED}/{name}", _greatest(own), "px")
+        yield Score(f"fault/{DISPLACED}/{name}", _greatest_fault_size(own), "px")
 
 
-def _greatest(faults: Sequence[Fault]) -> float:
+def _greatest_fault_size(faults: Sequence[Fault]) -> float:
     sizes = [abs(fault.size) or 1.0 for fault in faults]
     return float("nan") if any(size != size for size in sizes) else max(sizes, default=0.0)
 
 
-def _names(fault: Fault) -> list[str]:
-    return fault.name.split(EITHER)
+def _split_fault_names(fault: Fault) -> list[str]:
+    return fault.name.split(ALTERNATIVE_SEPARATOR)
 
 
-def _kinds(fault: Fault) -> tuple[str, ...]:
-    return (fault.kind, "encoder_offset") if fault.sense == "encoders" and fault.kind in OFFSET else (fault.kind,)
+def _list_fault_kinds(fault: Fault) -> tuple[str, ...]:
+    return (fault.kind, "encoder_offset") if fault.sense == "encoders" and fault.kind in OFFSET_KINDS else (fault.kind,)
 
 
-def delays(found: Estimate) -> Iterator[Score]:
+def list_delays(found: Estimate) -> Iterator[Score]:
     """Delay ± standard error of each camera where one was measured, applied or not; else the one that is applied."""
     applied, measured = (found.settings.get(key, {}) for key in ("delay", MEASURED_DELAYS))
     for name, one in measured.items() if isinstance(measured, Mapping) else ():
@@ -82,7 +82,7 @@ def doubtful_delays(found: Estimate) -> Iterator[tuple[str, float, float, str]]:
             yield name, float(one["seconds"]), float(one["std_error"]), str(one["doubt"])
 
 
-def _delays(found: Estimate) -> Iterator[Score]:
+def _delay_figures(found: Estimate) -> Iterator[Score]:
     """Delay of each camera that is applied or in doubt, s."""
     applied = found.settings.get("delay", {})
     doubtful = {name: late for name, late, *_ in doubtful_delays(found)}
@@ -92,7 +92,7 @@ def _delays(found: Estimate) -> Iterator[Score]:
         yield Score(f"delay/{name}", float(known.get(name, 0.0)), "s")
 
 
-def _shares(found: Estimate) -> Iterator[Score]:
+def _used_share_figures(found: Estimate) -> Iterator[Score]:
     """Share of each sense's measurements that was used."""
     for sense, health in sorted(found.used.items()):
         yield Score(f"used_share/{sense}", health.used / health.seen if health.seen else 0.0, "1")

@@ -8,18 +8,18 @@ import numpy as np
 from ..body_model import BodyModel
 from ..types import Array, Estimate, Features, Score, Series
 
-EVERY = 5
+WITHHELD_INTERVAL = 5
 """One image in so many is withheld."""
 
 
-def withhold(features: Features) -> tuple[Features, Mapping[str, Series]]:
-    """The features with one in EVERY frames of a track unseen, and those frames that did show something.
+def withhold_frames(features: Features) -> tuple[Features, Mapping[str, Series]]:
+    """The features with one in WITHHELD_INTERVAL frames of a track unseen, and those frames that did show something.
 
     A track that would show nothing any more is left as it is.
     """
     tracks, withheld = dict(features.tracks), {}
     for name, track in features.tracks.items():
-        rows = np.arange(len(track.t)) % EVERY == EVERY - 1
+        rows = np.arange(len(track.t)) % WITHHELD_INTERVAL == WITHHELD_INTERVAL - 1
         shown = np.isfinite(track.values).all(axis=1)
         rows = rows & (shown & ~rows).any()
         shown &= rows
@@ -29,13 +29,13 @@ def withhold(features: Features) -> tuple[Features, Mapping[str, Series]]:
     return replace(features, tracks=tracks), withheld
 
 
-def held_out(estimate: Estimate, withheld: Mapping[str, Series], body: BodyModel) -> tuple[Score, ...]:
+def score_withheld_frames(estimate: Estimate, withheld: Mapping[str, Series], body: BodyModel) -> tuple[Score, ...]:
     """Mean log density (nats) per withheld frame of what the body can predict; nothing where no frame was withheld."""
-    nats = [_nats(estimate, name, seen, body) for name, seen in withheld.items() if name in body.senses and len(seen.t)]
+    nats = [_withheld_log_density(estimate, name, seen, body) for name, seen in withheld.items() if name in body.senses and len(seen.t)]
     return (Score("log_density/held_out", float(np.concatenate(nats).mean()), "nats"),) if nats else ()
 
 
-def _nats(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> Array:
+def _withheld_log_density(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> Array:
     """Log density (F,) of a track's withheld places under their prediction."""
     if name in estimate.predicted:
         known = estimate.predicted[name]
@@ -43,17 +43,17 @@ def _nats(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> Array
         same = known.t[rows] == seen.t  # a frame whose time ran backwards was left out
         values, mean, cov = seen.values[same], known.values[rows[same]], estimate.predicted_cov[name][rows[same]]
     else:
-        values, (mean, cov) = seen.values, _carried(estimate, name, seen, body)
+        values, (mean, cov) = seen.values, _predict_by_angles(estimate, name, seen, body)
     apart = values - mean
     squares = np.einsum("fd,fd->f", apart, np.linalg.solve(cov, apart[..., None])[..., 0])
     return np.asarray(-0.5 * (squares + np.linalg.slogdet(2.0 * np.pi * cov)[1]))
 
 
-def _carried(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> tuple[Array, Array]:
+def _predict_by_angles(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> tuple[Array, Array]:
     """Mean (F,D) px and covariance (F,D,D) by the angles, of an estimate that did not use the track."""
     columns = [estimate.joints.names.index(joint) for joint in body.joints]
     late = estimate.settings.get("delay", {}).get(name.rpartition("/")[0] or "camera", 0.0)
-    x, cov = _angles(estimate, seen.t - late)
+    x, cov = _interpolate_angles(estimate, seen.t - late)
     mean, jac, var = body.senses[name].predict(x[:, columns])
     spread = cov[:, columns][:, :, columns]
     cov = np.einsum("fdj,fjk,fek->fde", jac, spread, jac, optimize=True)
@@ -63,7 +63,7 @@ def _carried(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> tu
     return mean, cov
 
 
-def _angles(estimate: Estimate, t: Array) -> tuple[Array, Array]:
+def _interpolate_angles(estimate: Estimate, t: Array) -> tuple[Array, Array]:
     """Angles (F,M) rad and their covariance (F,M,M) at t (F,), by the past alone unless the estimate knew the future.
 
     The last belief is carried on by its rate; what that rate is uncertain by within one step is left out.

@@ -6,46 +6,46 @@ import numpy as np
 
 from ..types import Array, Estimate, Score, Series
 
-SAME = 1e-6
+SAME_TIME_S = 1e-6
 """s: stamps closer than this are the same but for rounding."""
 
 
-READ = "encoders_read"
+ENCODERS_READ_KEY = "encoders_read"
 """Setting of an estimate whose encoders read another function of the angle: they are not compared with true angles."""
 
 
-def scores(estimate: Estimate, truth: Series | None, joints: Series | None) -> tuple[Score, ...]:
+def score_angles(estimate: Estimate, truth: Series | None, joints: Series | None) -> tuple[Score, ...]:
     """rmse/joint, nees, coverage_2sigma (with truth), rmse/encoders (with encoders), evidence and counts per sense."""
     found: list[Score] = []
     if truth is not None:
         names = [name for name in estimate.joints.names if name in truth.names]
         found += against_truth(estimate, truth, names) if names else []
-        if joints is not None and READ not in estimate.settings:
+        if joints is not None and ENCODERS_READ_KEY not in estimate.settings:
             found += encoder_scores(estimate, truth, joints, names)
     return (*found, *own_scores(estimate))
 
 
 def against_truth(estimate: Estimate, truth: Series, names: list[str]) -> list[Score]:
     """Error, its ratio to the stated covariance, and how often it is within two standard deviations."""
-    rows, columns = overlap(estimate.joints.t, truth), [estimate.joints.names.index(name) for name in names]
+    rows, columns = overlaps_truth(estimate.joints.t, truth), [estimate.joints.names.index(name) for name in names]
     if not rows.any():
         return []
-    error = (estimate.joints.values[:, columns] - at_times(truth, names, estimate.joints.t))[rows]
+    error = (estimate.joints.values[:, columns] - truth_at_times(truth, names, estimate.joints.t))[rows]
     cov = estimate.cov[rows][:, columns][:, :, columns]
     var = np.einsum("nii->ni", cov)
     with np.errstate(divide="ignore", invalid="ignore"):  # an error bar of zero is infinitely wrong
         ratio = error**2 / var
-    nees = _normalised(error, cov) / len(names)
+    nees = _normalised_error(error, cov) / len(names)
     return [
-        Score("rmse/joint", _rms(error), "rad"),
-        *(Score(f"rmse/joint/{name}", _rms(error[:, i]), "rad") for i, name in enumerate(names)),
+        Score("rmse/joint", _root_mean_square(error), "rad"),
+        *(Score(f"rmse/joint/{name}", _root_mean_square(error[:, i]), "rad") for i, name in enumerate(names)),
         Score("nees/joint", float(nees.mean()), "1"),
         *(Score(f"nees/joint/{name}", float(ratio[:, i].mean()), "1") for i, name in enumerate(names)),
         Score("coverage_2sigma/joint", float((ratio <= 4.0).mean() * 100.0), "%"),
     ]
 
 
-def _normalised(error: Array, cov: Array) -> Array:
+def _normalised_error(error: Array, cov: Array) -> Array:
     """eᵀ P⁻¹ e (N,); infinite where a covariance has no inverse."""
     found, sound = np.full(len(error), np.inf), np.linalg.det(cov) != 0.0
     found[sound] = np.einsum("ni,ni->n", error[sound], np.linalg.solve(cov[sound], error[sound][..., None])[..., 0])
@@ -56,12 +56,12 @@ def encoder_scores(estimate: Estimate, truth: Series, joints: Series, names: lis
     """RMSE of the raw encoders over the estimate's time span."""
     names = [name for name in names if name in joints.names]
     span = (joints.t >= estimate.joints.t[0]) & (joints.t <= estimate.joints.t[-1])
-    rows = span & overlap(joints.t, truth)
+    rows = span & overlaps_truth(joints.t, truth)
     if not names or not rows.any():
         return []
-    error = (joints.values[:, [joints.names.index(name) for name in names]] - at_times(truth, names, joints.t))[rows]
+    error = (joints.values[:, [joints.names.index(name) for name in names]] - truth_at_times(truth, names, joints.t))[rows]
     error = error[np.isfinite(error)]
-    return [Score("rmse/encoders", _rms(error), "rad")] if len(error) else []
+    return [Score("rmse/encoders", _root_mean_square(error), "rad")] if len(error) else []
 
 
 def own_scores(estimate: Estimate) -> list[Score]:
@@ -85,17 +85,17 @@ def own_scores(estimate: Estimate) -> list[Score]:
 def precision_scores(estimate: Estimate) -> list[Score]:
     """The noise that the estimate assumes: per joint of encoder and motion, and the factor on each track's variance."""
     names, settings = estimate.joints.names, estimate.settings
-    found = [Score(f"std/encoders/{n}", v**0.5, "rad") for n, v in _each(names, settings.get("encoder"))]
-    if READ not in settings:
-        found += [Score(f"std/encoders/{n}", v**0.5, "rad") for n, v in _each(names, settings.get("sigma_encoders"))]
+    found = [Score(f"std/encoders/{n}", v**0.5, "rad") for n, v in _each_named_variance(names, settings.get("encoder"))]
+    if ENCODERS_READ_KEY not in settings:
+        found += [Score(f"std/encoders/{n}", v**0.5, "rad") for n, v in _each_named_variance(names, settings.get("sigma_encoders"))]
     kind, unit = ("jerk", "rad²/s⁵") if settings.get("order") == 3 else ("acceleration", "rad²/s³")
-    found += [Score(f"process_noise/{kind}/{n}", v, unit) for n, v in _each(names, settings.get("process"))]
+    found += [Score(f"process_noise/{kind}/{n}", v, unit) for n, v in _each_named_variance(names, settings.get("process"))]
     scale = settings.get("scale")
     factors = sorted(scale.items()) if isinstance(scale, Mapping) else ()
-    return found + [Score(f"variance_factor/{n}", v, "1") for track, v in factors for n, v in _each((track,), [v])]
+    return found + [Score(f"variance_factor/{n}", v, "1") for track, v in factors for n, v in _each_named_variance((track,), [v])]
 
 
-def _each(names: Sequence[str], values: object) -> Iterator[tuple[str, float]]:
+def _each_named_variance(names: Sequence[str], values: object) -> Iterator[tuple[str, float]]:
     """Each name with its variance, if `values` is a list of them."""
     if isinstance(values, list | tuple) and len(values) == len(names):
         yield from ((n, float(v)) for n, v in zip(names, values, strict=True) if isinstance(v, int | float) and v >= 0)
@@ -108,26 +108,26 @@ def track_scores(estimate: Estimate) -> list[Score]:
         errors = estimate.errors.get(name)
         if errors is None or predicted.std is None or not len(errors.t) or not len(predicted.t):
             continue
-        rows = np.minimum(np.searchsorted(predicted.t, errors.t - SAME), len(predicted.t) - 1)
+        rows = np.minimum(np.searchsorted(predicted.t, errors.t - SAME_TIME_S), len(predicted.t) - 1)
         pixels = errors.values * predicted.std[rows]
-        found.append(Score(f"rmse/innovation/{name}", _rms(pixels[np.isfinite(pixels)]), "px"))
+        found.append(Score(f"rmse/innovation/{name}", _root_mean_square(pixels[np.isfinite(pixels)]), "px"))
     return found
 
 
-def at_times(truth: Series, names: list[str], t: Array) -> Array:
+def truth_at_times(truth: Series, names: list[str], t: Array) -> Array:
     """The truth (N,len(names)) rad, interpolated at times t (N,) s."""
     order = np.argsort(truth.t, kind="stable")
     columns = truth.values[order][:, [truth.names.index(name) for name in names]]
     return np.stack([np.interp(t, truth.t[order], column) for column in columns.T], axis=1)
 
 
-def overlap(t: Array, truth: Series) -> Array:
+def overlaps_truth(t: Array, truth: Series) -> Array:
     """Which times (N,) lie within the truth's span."""
     if not len(truth.t):
         return np.zeros(len(t), bool)
-    inside: Array = (t >= truth.t.min() - SAME) & (t <= truth.t.max() + SAME)
+    inside: Array = (t >= truth.t.min() - SAME_TIME_S) & (t <= truth.t.max() + SAME_TIME_S)
     return inside
 
 
-def _rms(error: Array) -> float:
+def _root_mean_square(error: Array) -> float:
     return float(np.sqrt(np.mean(error**2)))

@@ -3,7 +3,7 @@
 from .claims import Claim
 from .records import Experiment
 from .rubber_hand import Setting
-from .run import Reproduction, reproduce
+from .run import Reproduction, run_reproduction
 from .table import EXPERIMENTS
 
-__all__ = ["EXPERIMENTS", "Claim", "Experiment", "Reproduction", "Setting", "reproduce"]
+__all__ = ["EXPERIMENTS", "Claim", "Experiment", "Reproduction", "Setting", "run_reproduction"]

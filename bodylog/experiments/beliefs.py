@@ -7,13 +7,13 @@ import numpy as np
 
 from .. import pipeline
 from ..body_model import BodyModel
-from ..settings import Estimation, Settings
+from ..settings import EstimationSettings, Settings
 from ..types import Array, Estimate
 from .lab import ObservedLog
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class BeliefWithTruth:
     """A belief over time: t (N,) s · x (N,M) rad · true (N,M) rad."""
 
     t: Array
@@ -33,22 +33,22 @@ class Belief:
         return np.column_stack([np.interp(t, self.t, column) for column in self.x.T])
 
 
-def ours(observed: ObservedLog, body: BodyModel, senses: tuple[str, ...] | None = None, **settings: Any) -> Belief:
+def believe_by_default(observed: ObservedLog, body: BodyModel, senses: tuple[str, ...] | None = None, **settings: Any) -> BeliefWithTruth:
     """Our default's belief."""
-    return believed(estimated(observed, body, Estimation(senses=senses, **settings)), observed)
+    return belief_with_truth(estimate_with_settings(observed, body, EstimationSettings(senses=senses, **settings)), observed)
 
 
-def estimated(observed: ObservedLog, body: BodyModel, settings: Estimation) -> Estimate:
+def estimate_with_settings(observed: ObservedLog, body: BodyModel, settings: EstimationSettings) -> Estimate:
     """The estimate by these settings."""
     return pipeline.infer(observed.features, body, replace(Settings(), estimate=settings))
 
 
-def believed(found: Estimate, observed: ObservedLog) -> Belief:
+def belief_with_truth(found: Estimate, observed: ObservedLog) -> BeliefWithTruth:
     """An estimate as a belief with the truth."""
-    return Belief(found.joints.t, found.joints.values, observed.true(found.joints.names, found.joints.t))
+    return BeliefWithTruth(found.joints.t, found.joints.values, observed.true(found.joints.names, found.joints.t))
 
 
-def noisier(observed: ObservedLog, std: float, seed: int) -> ObservedLog:
+def add_encoder_noise(observed: ObservedLog, std: float, seed: int) -> ObservedLog:
     """The same log with more noise (rad) on its encoders."""
     joints = observed.features.joints
     assert joints is not None

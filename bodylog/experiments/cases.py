@@ -8,9 +8,9 @@ import numpy as np
 from ..body_model import BodyModel
 from ..types import Array, Features, Synchrony
 from . import readings
-from .drawn import ARM, PIXEL_STD, SIZE, place, px_per_cm
+from .drawn import ARM, PIXEL_STD, SIZE, place_in_image, px_per_cm
 from .lab import JOINTS, ObservedLog
-from .printed import DT, Case, Map, Signals, Touching, believed
+from .printed import DT, Case, Map, Signals, Touching, run_printed_model
 from .readings import Reading
 
 Cases = Mapping[str, Case]
@@ -20,12 +20,12 @@ A_1 = 0.001
 """The printed a_1."""
 HAND_STD_PX = 0.3
 """Error of the hand's place where the touched cell's place is known."""
-LATE = 0.2
+MAX_HAND_AGE_S = 0.2
 """s: a hand last seen longer ago counts as unseen."""
 
 
 @dataclass(frozen=True, eq=False)
-class Explored:
+class ExplorationSamples:
     """The printed model's training data: 46 samples x (46,M) rad and their places y (46,2) px."""
 
     x: Array
@@ -44,10 +44,10 @@ class Explored:
 
     def map(self, reading: Reading) -> Map:
         """The forward model in this reading of σ_n."""
-        tried = readings.value(reading, "sigma_n")
+        tried = readings.reading_value(reading, "sigma_n")
         if tried not in self.maps:
             self.maps[tried] = (
-                self._learned() if tried == "learned" else self._printed(readings.number(reading, "sigma_n"))
+                self._learned() if tried == "learned" else self._printed(readings.reading_number(reading, "sigma_n"))
             )
         return self.maps[tried]
 
@@ -60,65 +60,65 @@ class Explored:
         return Map(self.x, np.full(self.x.shape[1], SCALE), np.linalg.solve(k, self.y - mean), mean, self.scatter)
 
     def _learned(self) -> Map:
-        from ..body.gp.fit import samples, train
+        from ..body.gp.fit import samples_without_noise, train_gp
 
-        gp = train(samples(self.x, self.y), ("u", "v"), "px")
+        gp = train_gp(samples_without_noise(self.x, self.y), ("u", "v"), "px")
         return Map(gp.centres, gp.scales[0], gp.amplitude[0] * gp.weights.T, gp.mean, self.scatter)
 
 
-def explored(body: BodyModel) -> Explored:
+def explore_by_preset(body: BodyModel) -> ExplorationSamples:
     """The samples of a body learned by the paper's preset."""
     from ..body.gp.model import GP
 
     model = body.senses["effector"]
     assert isinstance(model, GP)
-    return Explored(model.samples, model.targets, {})
+    return ExplorationSamples(model.samples, model.targets, {})
 
 
-def drawn_samples(seed: int, moving: tuple[bool, bool, bool] = (True, True, True), count: int = 46) -> Explored:
+def drawn_samples(seed: int, moving: tuple[bool, bool, bool] = (True, True, True), count: int = 46) -> ExplorationSamples:
     """An exploration without a recording, for the notebooks: `count` drawn postures, noiseless encoders, places."""
     rng = np.random.default_rng([seed, 23])
     x = np.array(ARM.home[:3]) + np.array(ARM.swing[:3]) * moving * rng.uniform(-1.0, 1.0, (count, 3))
-    seen = place(x) + PIXEL_STD * rng.standard_normal((count, 2))
-    return Explored(x + 0.003 * rng.standard_normal(x.shape), seen, {})
+    seen = place_in_image(x) + PIXEL_STD * rng.standard_normal((count, 2))
+    return ExplorationSamples(x + 0.003 * rng.standard_normal(x.shape), seen, {})
 
 
-def case(
-    known: Explored, reading: Reading, senses: str, start: Array, touch: bool = False, square: bool = False
+def build_case(
+    known: ExplorationSamples, reading: Reading, senses: str, start: Array, touch: bool = False, square: bool = False
 ) -> Case:
     """One run of senses such as "p1+p3+v" (p: all encoders) from a start (M,) rad."""
     parts = set(senses.split("+"))
     encoders = tuple("p" in parts or f"p{i + 1}" in parts for i in range(len(start)))
-    prior = {"belief": start, "home": known.home, "zero": np.zeros(len(start))}[readings.value(reading, "mu_x")]
-    unit, integration = _unit(known, reading, "sigma_v"), readings.value(reading, "integration")
-    felt = _touching(known, reading) if touch or "t" in parts else None
-    rate = readings.number(reading, "lambda")
+    prior = {"belief": start, "home": known.home, "zero": np.zeros(len(start))}[readings.reading_value(reading, "mu_x")]
+    unit, integration = _unit_px(known, reading, "sigma_v"), readings.reading_value(reading, "integration")
+    felt = _touch_constants(known, reading) if touch or "t" in parts else None
+    rate = readings.reading_number(reading, "lambda")
     assert rate is not None
     return Case(known.map(reading), encoders, "v" in parts, unit, integration, start, prior, felt, square, rate=rate)
 
 
-def cases(known: Explored, names: Sequence[str], off: Array | float = 0.0) -> Callable[[Reading, Signals], Cases]:
-    """For `study`: a run of each of some senses, from the true start plus `off` (M,) rad."""
-    return lambda reading, sensed: {name: case(known, reading, name, sensed.true[0] + off) for name in names}
+def build_cases(known: ExplorationSamples, names: Sequence[str], off: Array | float = 0.0) -> Callable[[Reading, Signals], Cases]:
+    """For `run_study`: a run of each of some senses, from the true start plus `off` (M,) rad."""
+    return lambda reading, sensed: {name: build_case(known, reading, name, sensed.true[0] + off) for name in names}
 
 
-def _unit(known: Explored, reading: Reading, name: str) -> float:
+def _unit_px(known: ExplorationSamples, reading: Reading, name: str) -> float:
     """The unit (px) of a variance or b_1 in a reading."""
     of_log = {"standardised": known.scatter, "half-widths": SIZE[0] / 2, "widths": float(SIZE[0]), "cm": px_per_cm()}
-    found = readings.number(reading, name)
-    return of_log[readings.value(reading, name)] if found is None else found
+    found = readings.reading_number(reading, name)
+    return of_log[readings.reading_value(reading, name)] if found is None else found
 
 
-def _touching(known: Explored, reading: Reading) -> Touching:
-    a_2, half, relative = (readings.number(reading, name) for name in ("a_2", "b_2", "sigma_t"))
+def _touch_constants(known: ExplorationSamples, reading: Reading) -> Touching:
+    a_2, half, relative = (readings.reading_number(reading, name) for name in ("a_2", "b_2", "sigma_t"))
     assert a_2 is not None and half is not None
     a = A_1 * a_2
     sigma = 1.0 if relative is None else relative * a**2
-    b_1 = _unit(known, reading, "b_1") ** -2.0
-    return Touching(a, b_1, float(np.log(2.0)) / half**2, sigma, readings.value(reading, "s_t"))
+    b_1 = _unit_px(known, reading, "b_1") ** -2.0
+    return Touching(a, b_1, float(np.log(2.0)) / half**2, sigma, readings.reading_value(reading, "s_t"))
 
 
-def beside(body: BodyModel) -> Array:
+def place_of_touched_skin(body: BodyModel) -> Array:
     """The place of touched skin relative to the effector (2,) px, mean of all cells the body knows; 0 without cells."""
     places = np.array([place[:2] for place in body.cells.values()])
     return np.asarray(places.mean(axis=0)) if len(places) else np.zeros(2)
@@ -130,33 +130,33 @@ def place_hand(sensed: Signals, reading: Reading, by: Array, aside: float, seed:
     by (2,) px: where touched skin is seen beside the effector, in the mean · aside px: the image's displacement to the
     right of the arm, 0 where the hand is seen where it touches.
     """
-    where = readings.value(reading, "o_v")
+    where = readings.reading_value(reading, "o_v")
     if where == "hand":
         return sensed
     if where == "stroke":
         return replace(sensed, hand=sensed.hand - by)
     error = HAND_STD_PX * np.random.default_rng([seed, 24]).standard_normal(sensed.hand.shape)
-    touched = place(sensed.true) + np.array([aside, 0.0]) + error
+    touched = place_in_image(sensed.true) + np.array([aside, 0.0]) + error
     return replace(sensed, hand=np.where(np.isfinite(sensed.hand), touched, np.nan))
 
 
-def signals(observed: ObservedLog, joints: Sequence[str] = JOINTS) -> Signals:
+def sample_signals(observed: ObservedLog, joints: Sequence[str] = JOINTS) -> Signals:
     """A log on the printed grid of 20 Hz: nearest encoder reading, interpolated place, current touch."""
     features, encoders = observed.features, observed.features.joints
     assert encoders is not None
     t = np.arange(encoders.t[0], encoders.t[-1], DT)
     columns = [encoders.names.index(name) for name in joints]
-    hand, delay = _felt(features, t)
-    read = encoders.values[_nearest(encoders.t, t)][:, columns]
-    return Signals(t, read, _between(features, t), hand, delay, observed.true(tuple(joints), t))
+    hand, delay = _felt_hand(features, t)
+    read = encoders.values[_nearest_reading(encoders.t, t)][:, columns]
+    return Signals(t, read, _interpolate_effector(features, t), hand, delay, observed.true(tuple(joints), t))
 
 
-def _nearest(t: Array, at: Array) -> Array:
+def _nearest_reading(t: Array, at: Array) -> Array:
     right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
     return np.asarray(right - (at - t[right - 1] <= t[right] - at))
 
 
-def _between(features: Features, t: Array) -> Array:
+def _interpolate_effector(features: Features, t: Array) -> Array:
     """The effector's place (N,2) px on the line between two frames no more than 0.1 s apart; NaN where unseen."""
     track = features.effector
     if track is None or len(track.t) < 2:
@@ -168,26 +168,26 @@ def _between(features: Features, t: Array) -> Array:
     return np.where((gap < 0.1)[:, None] & (share >= 0.0) & (share <= 1.0), found, np.nan)
 
 
-def _felt(features: Features, t: Array) -> tuple[Array, Array]:
+def _felt_hand(features: Features, t: Array) -> tuple[Array, Array]:
     """The hand (N,2) px during touches paired with a stroke, and the pair's delay (N,) s; NaN otherwise."""
     hand, delay = np.full((len(t), 2), np.nan), np.full(len(t), np.nan)
     if features.hand is None or not len(features.hand.t):
         return hand, delay
     rows = np.maximum(np.searchsorted(features.hand.t, t + 1e-9, "right") - 1, 0)
-    fresh = t - features.hand.t[rows] < LATE
+    fresh = t - features.hand.t[rows] < MAX_HAND_AGE_S
     for pair in features.synchrony:
-        now = _during(features, pair, t) & fresh
+        now = _times_during_touch(features, pair, t) & fresh
         hand[now], delay[now] = features.hand.values[rows[now]], pair.delay
     return hand, delay
 
 
-def _during(features: Features, pair: Synchrony, t: Array) -> Array:
+def _times_during_touch(features: Features, pair: Synchrony, t: Array) -> Array:
     touch = (features.touches or ())[pair.touch]
     return np.asarray((t >= touch.onset) & (t <= touch.offset))
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
+class StudyBeliefs:
     """The beliefs of one reading's runs: signals · x {name: (N,M) rad} · errors {name: e_p, e_v (N,M+2)}."""
 
     signals: Signals
@@ -199,20 +199,20 @@ class Made:
         return self.signals.error(self.x[name], since)
 
 
-def study(
+def run_study(
     tried: Sequence[Reading], log: Callable[[Reading], Signals], cases: Callable[[Reading, Signals], Cases]
-) -> dict[str, Made]:
+) -> dict[str, StudyBeliefs]:
     """The beliefs of all readings' runs, by the reading's key; those on one log run together."""
     groups: dict[int, list[tuple[str, Signals, Cases]]] = {}
     for reading in tried:
         sensed = log(reading)
-        groups.setdefault(id(sensed), []).append((readings.key(reading), sensed, cases(reading, sensed)))
-    found: dict[str, Made] = {}
+        groups.setdefault(id(sensed), []).append((readings.reading_key(reading), sensed, cases(reading, sensed)))
+    found: dict[str, StudyBeliefs] = {}
     for members in groups.values():
         sensed = members[0][1]
-        made = believed(sensed, [case for _, _, of in members for case in of.values()])
+        made = run_printed_model(sensed, [case for _, _, of in members for case in of.values()])
         runs = iter(zip(made.x, made.errors, strict=True))
         for name, _, of in members:
             mine = {run: next(runs) for run in of}
-            found[name] = Made(sensed, {k: x for k, (x, _) in mine.items()}, {k: e for k, (_, e) in mine.items()})
+            found[name] = StudyBeliefs(sensed, {k: x for k, (x, _) in mine.items()}, {k: e for k, (_, e) in mine.items()})
     return found

@@ -7,19 +7,19 @@ import numpy as np
 
 from ..types import Array
 from . import drawn, readings
-from .beliefs import Belief, ours
-from .cases import Explored, Made, cases, explored, signals, study
+from .beliefs import BeliefWithTruth, believe_by_default
+from .cases import ExplorationSamples, StudyBeliefs, build_cases, explore_by_preset, sample_signals, run_study
 from .claims import Bound, Claim, Control
-from .judging import own, paper
+from .judging import judge_own_claim, judge_paper_claim
 from .lab import NAMES, Lab, ObservedLog
 from .printed import Signals, filter_encoders
 from .readings import Reading
-from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
+from .records import Experiment, ExperimentReadings, TextTable, Trial, by_reading, figure_column, name_figure, build_panel, shown_reading_key
 
 SENSES = ("v", "p1+p3+v", "p+v", "p")
 OURS = {"v": ("vision",), "p1+p3+v": ("shoulder_pan_joint", "elbow_joint", "vision"),
         "p+v": ("encoders", "vision"), "p": ("encoders",)}  # fmt: skip
-OFF = 0.15
+START_ERROR_RAD = 0.15
 """rad: initial error of every joint's belief."""
 SIDEWAYS = (True, True, False)
 """The elbow does not move, in exploration and in the test."""
@@ -28,7 +28,7 @@ FAST, SLOW = "4", "60"
 CONCERNED = ("sigma_n", "sigma_v", "mu_x", "integration", "lambda", "speed", "noise")
 
 
-class Logs:
+class AblationLogs:
     """The logs of one seed by speed and noise, each drawn once, and where a belief starts."""
 
     def __init__(self, seed: int, moving: tuple[bool, bool, bool] = SIDEWAYS) -> None:
@@ -45,94 +45,94 @@ class Logs:
         return self._both(reading)[1]
 
     def _both(self, reading: Reading) -> tuple[ObservedLog, Signals]:
-        period, noise = (readings.number(reading, name) for name in ("speed", "noise"))
+        period, noise = (readings.reading_number(reading, name) for name in ("speed", "noise"))
         assert period is not None and noise is not None
         if (period, noise) not in self.made:
-            observed = drawn.log(period, noise, self.seed, self.moving)
-            self.made[period, noise] = observed, signals(observed)
+            observed = drawn.draw_log(period, noise, self.seed, self.moving)
+            self.made[period, noise] = observed, sample_signals(observed)
         return self.made[period, noise]
 
 
-def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
-    known, logs = explored(lab.body("paper", seed, "horizontal")), Logs(seed)
-    found = study(tried.all, logs.signals, cases(known, SENSES, OFF))
-    lags = {speed: _lagging(known, logs, tried.all, speed) for speed in (FAST, SLOW)}
+def _run_ablation(lab: Lab, seed: int, tried: ExperimentReadings) -> Trial:
+    known, logs = explore_by_preset(lab.body("paper", seed, "horizontal")), AblationLogs(seed)
+    found = run_study(tried.all, logs.signals, build_cases(known, SENSES, START_ERROR_RAD))
+    lags = {speed: _error_at_speed(known, logs, tried.all, speed) for speed in (FAST, SLOW)}
     figures: dict[str, float] = {}
     for reading in tried.all:
-        key = readings.key(reading)
-        figures |= {named(key, name): value for name, value in _figures(found[key]).items()}
-        figures[named(key, "slow")] = lags[FAST][key] / lags[SLOW][key]
-    own_figures, beliefs = _ours(lab, seed, logs.observed(tried.decide[0]))
-    return {"figures": figures | own_figures, "panels": _panels(found[tried.keys[0]], beliefs)}
+        key = readings.reading_key(reading)
+        figures |= {name_figure(key, name): value for name, value in _ablation_figures(found[key]).items()}
+        figures[name_figure(key, "slow")] = lags[FAST][key] / lags[SLOW][key]
+    own_figures, beliefs = _ablation_by_default(lab, seed, logs.observed(tried.decide[0]))
+    return {"figures": figures | own_figures, "panels": _ablation_panels(found[tried.keys[0]], beliefs)}
 
 
-def _lagging(known: Explored, logs: Logs, tried: Sequence[Reading], speed: str) -> dict[str, float]:
+def _error_at_speed(known: ExplorationSamples, logs: AblationLogs, tried: Sequence[Reading], speed: str) -> dict[str, float]:
     """Error (rad) of p+v by reading, at another speed."""
-    moved = {readings.key(reading): {**reading, "speed": speed} for reading in tried}
-    found = study(list(moved.values()), logs.signals, cases(known, ["p+v"], OFF))
-    return {key: found[readings.key(reading)].error("p+v", drawn.SETTLING) for key, reading in moved.items()}
+    moved = {readings.reading_key(reading): {**reading, "speed": speed} for reading in tried}
+    found = run_study(list(moved.values()), logs.signals, build_cases(known, ["p+v"], START_ERROR_RAD))
+    return {key: found[readings.reading_key(reading)].error("p+v", drawn.SETTLING) for key, reading in moved.items()}
 
 
-def _figures(made: Made) -> dict[str, float]:
+def _ablation_figures(made: StudyBeliefs) -> dict[str, float]:
     found = {name: made.error(name, drawn.SETTLING) for name in SENSES}
-    beside = filter_encoders(made.signals, made.signals.true[0] + OFF)
+    beside = filter_encoders(made.signals, made.signals.true[0] + START_ERROR_RAD)
     found["Kalman"] = made.signals.error(beside, drawn.SETTLING)
     for more, fewer in (("p1+p3+v", "v"), ("p+v", "p1+p3+v"), ("p+v", "p")):
         found[f"{more} over {fewer}"] = found[more] / found[fewer]
-    found["elbow left"] = left(made.signals.t, made.x["v"], made.signals.true)
-    found |= {f"followed {i + 1}": followed(made, "v", i) for i in (0, 1)}
+    found["elbow left"] = share_of_error_left(made.signals.t, made.x["v"], made.signals.true)
+    found |= {f"followed {i + 1}": share_of_motion_followed(made, "v", i) for i in (0, 1)}
     found["apart"] = abs(found["p"] / found["Kalman"] - 1.0)
-    found["differ"] = _rms((made.x["p"] - beside)[made.signals.t >= drawn.SETTLING]) / found["Kalman"]
+    found["differ"] = _rms_over_joints((made.x["p"] - beside)[made.signals.t >= drawn.SETTLING]) / found["Kalman"]
     return found
 
 
-def left(t: Array, x: Array, true: Array) -> float:
+def share_of_error_left(t: Array, x: Array, true: Array) -> float:
     """Share of the elbow's initial error that remains in the last second."""
-    return float(abs((x - true)[t >= t[-1] - 1.0, 2].mean()) / OFF)
+    return float(abs((x - true)[t >= t[-1] - 1.0, 2].mean()) / START_ERROR_RAD)
 
 
-def followed(made: Made, name: str, joint: int) -> float:
+def share_of_motion_followed(made: StudyBeliefs, name: str, joint: int) -> float:
     """Share of a joint's true motion that a belief follows: the slope of belief over truth once settled."""
     late = made.signals.t >= drawn.SETTLING
     true, x = made.signals.true[late, joint], made.x[name][late, joint]
     return float(np.cov(x, true)[0, 1] / np.var(true, ddof=1))
 
 
-def _rms(values: Array) -> float:
+def _rms_over_joints(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _ours(lab: Lab, seed: int, observed: ObservedLog) -> tuple[dict[str, float], dict[str, Belief]]:
+def _ablation_by_default(lab: Lab, seed: int, observed: ObservedLog) -> tuple[dict[str, float], dict[str, BeliefWithTruth]]:
     body = lab.body("default", seed, "horizontal")
-    start = tuple(float(v) for v in observed.true(body.joints, observed.truth.t[:1])[0] + OFF)
-    beliefs = {name: ours(observed, body, senses, start=start) for name, senses in OURS.items()}
+    start = tuple(float(v) for v in observed.true(body.joints, observed.truth.t[:1])[0] + START_ERROR_RAD)
+    beliefs = {name: believe_by_default(observed, body, senses, start=start) for name, senses in OURS.items()}
     figures = {f"ours {name}": belief.rmse(drawn.SETTLING) for name, belief in beliefs.items()}
     joints = observed.features.joints
     assert joints is not None
-    figures["encoders"] = _rms((joints.values - observed.true(joints.names, joints.t))[joints.t >= drawn.SETTLING])
+    figures["encoders"] = _rms_over_joints((joints.values - observed.true(joints.names, joints.t))[joints.t >= drawn.SETTLING])
     return figures, beliefs
 
 
-def _panels(made: Made, beliefs: Mapping[str, Belief]) -> list[dict[str, Any]]:
+def _ablation_panels(made: StudyBeliefs, beliefs: Mapping[str, BeliefWithTruth]) -> list[dict[str, Any]]:
     t, true = made.signals.t, made.signals.true
-    beside = {**made.x, "Kalman": filter_encoders(made.signals, true[0] + OFF)}
+    beside = {**made.x, "Kalman": filter_encoders(made.signals, true[0] + START_ERROR_RAD)}
     panels = []
     for i, joint in enumerate(NAMES):
         lines = {name: made.x[name][:, i] for name in ("v", "p1+p3+v", "p+v")}
         lines |= {"ours p+v": beliefs["p+v"].at(t)[:, i], "truth": true[:, i]}
-        panels.append(panel(f"{joint}, estimated", "rad", t, lines, "4a"))
+        panels.append(build_panel(f"{joint}, estimated", "rad", t, lines, "4a"))
     lines = {name: np.abs(x - true).mean(axis=1) for name, x in beside.items()}
     lines["ours p+v"] = np.abs(beliefs["p+v"].at(t) - true).mean(axis=1)
-    panels.append(panel("estimation error", "rad", t, lines, "4b"))
+    panels.append(build_panel("estimation error", "rad", t, lines, "4b"))
     errors = made.errors["p+v"]
-    panels.append(panel("error dynamics e_p of p+v", "1/rad", t, {n: errors[:, i] for i, n in enumerate(NAMES)}, "4c"))
+    panels.append(build_panel("error dynamics e_p of p+v", "1/rad", t, {n: errors[:, i] for i, n in enumerate(NAMES)}, "4c"))
     panels.append(
-        panel("error dynamics e_v of p+v", "1/unit", t, {n: errors[:, 3 + i] for i, n in enumerate("uv")}, "4c")
+        build_panel("error dynamics e_v of p+v", "1/unit", t, {n: errors[:, 3 + i] for i, n in enumerate("uv")}, "4c")
     )
     return panels
 
 
-def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
+def _claim_ablation(trials: Sequence[Trial], tried: ExperimentReadings) -> tuple[Claim, ...]:
     figures = by_reading(trials)
 
     def claim(
@@ -145,11 +145,11 @@ def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
         without: tuple[str, ...] = (),
     ) -> Claim:
         part = tried.restricted(*(name for name in CONCERNED if name not in without))
-        return paper(f"E1.{number}", text, measured, "1", bound, figure, figures, part.keys, part.swept, controls)
+        return judge_paper_claim(f"E1.{number}", text, measured, "1", bound, figure, figures, part.keys, part.swept, controls)
 
     found = [Control(f"share of shoulder {i}'s motion that vision alone follows", "1", Bound("≥", 0.5), f"followed {i}")
              for i in (1, 2)]  # fmt: skip
-    near = Control("error of p+v", "rad", Bound("≤", OFF), "p+v")
+    near = Control("error of p+v", "rad", Bound("≤", START_ERROR_RAD), "p+v")
     return (
         claim(1, "two encoders with vision err less than vision alone", "error of p1+p3+v over that of v",
               Bound("≤", 1.0), "p1+p3+v over v"),
@@ -163,30 +163,30 @@ def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
               Bound("≤", 0.2), "apart", without=("sigma_n", "sigma_v")),
         claim(6, "the dynamics are slow where big changes occur (the paper's own word)",
               "error of p+v at a period of 4 s over that at 60 s", Bound("≥", 2.0), "slow", without=("speed",)),
-        *_own(trials),
+        *_own_ablation_claims(trials),
     )  # fmt: skip
 
 
-def _own(trials: Sequence[Trial]) -> tuple[Claim, ...]:
+def _own_ablation_claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:
     def over(more: str, fewer: str) -> list[float]:
-        return [a / b for a, b in zip(column(trials, more), column(trials, fewer), strict=True)]
+        return [a / b for a, b in zip(figure_column(trials, more), figure_column(trials, fewer), strict=True)]
 
     explanation = "vision alone takes a joint no encoder reads to be about where it was explored: remembered, not seen"
     return (
-        own("E1.7", "our p+v errs less than the raw encoders", "error over the encoders'", "1", Bound("≤", 0.5),
+        judge_own_claim("E1.7", "our p+v errs less than the raw encoders", "error over the encoders'", "1", Bound("≤", 0.5),
             over("ours p+v", "encoders")),
-        own("E1.8", "our p+v errs less than our p", "error of p+v over that of p", "1", Bound("≤", 1.0),
+        judge_own_claim("E1.8", "our p+v errs less than our p", "error of p+v over that of p", "1", Bound("≤", 1.0),
             over("ours p+v", "ours p"), explanation),
     )  # fmt: skip
 
 
-def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
+def _tabulate_ablation(trials: Sequence[Trial]) -> tuple[TextTable, ...]:
     def cell(name: str) -> str:
-        return f"{np.nanmedian(column(trials, name)):.4f}"
+        return f"{np.nanmedian(figure_column(trials, name)):.4f}"
 
-    rows = [(name, cell(named(shown(trials), name)), cell(f"ours {name}")) for name in SENSES]
-    rows += [("Kalman on p", cell(named(shown(trials), "Kalman")), ""), ("raw encoders", "", cell("encoders"))]
-    return (Table("Median error over the seeds, rad", ("senses", "printed model", "ours"), tuple(rows)),)
+    rows = [(name, cell(name_figure(shown_reading_key(trials), name)), cell(f"ours {name}")) for name in SENSES]
+    rows += [("Kalman on p", cell(name_figure(shown_reading_key(trials), "Kalman")), ""), ("raw encoders", "", cell("encoders"))]
+    return (TextTable("Median error over the seeds, rad", ("senses", "printed model", "ours"), tuple(rows)),)
 
 
-EXPERIMENT = Experiment("E1", "Which senses are needed", _run, _claims, CONCERNED, _tables)
+EXPERIMENT = Experiment("E1", "Which senses are needed", _run_ablation, _claim_ablation, CONCERNED, _tabulate_ablation)

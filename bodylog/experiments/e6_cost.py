@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from .claims import Bound, Claim
-from .judging import variants
+from .judging import judge_variants
 from .lab import Lab
-from .records import Experiment, Readings, Table, Trial, column
+from .records import Experiment, ExperimentReadings, TextTable, Trial, figure_column
 
 SAMPLES = (16, 32, 64)
 """Samples that are learned from, and predicted from."""
@@ -20,9 +20,9 @@ SIZES = (8, 16, 32, 64)
 JOINTS = 3
 
 
-def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
+def _run_cost(lab: Lab, seed: int, tried: ExperimentReadings) -> Trial:
     counted: dict[str, dict[int, int]] = {
-        "learn": {n: factor_by_cholesky(_covariance(n))[1] for n in SAMPLES},
+        "learn": {n: factor_by_cholesky(_noisy_covariance(n))[1] for n in SAMPLES},
         "predict": {n: count_prediction(PREDICTED_SENSES, n, JOINTS) for n in SAMPLES},
         "dense step": {n: count_step(n, n, n) for n in SIZES},
         "sparse step": {n: count_step(n, n, 1) for n in SIZES},
@@ -37,7 +37,7 @@ def fit_exponent(counts: dict[int, int]) -> float:
     return round(float(np.polyfit(np.log(list(counts)), np.log(list(counts.values())), 1)[0]), 6)
 
 
-def _covariance(n: int) -> list[list[float]]:
+def _noisy_covariance(n: int) -> list[list[float]]:
     """K (n,n) of n places on a line, with noise on its diagonal."""
     at = np.linspace(-1.0, 1.0, n)
     found: list[list[float]] = (np.exp(-0.5 * np.square(at[:, None] - at)) + 0.01 * np.eye(n)).tolist()
@@ -73,11 +73,11 @@ def count_step(senses: int, joints: int, each: int) -> int:
     return count
 
 
-def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
+def _claim_cost(trials: Sequence[Trial], tried: ExperimentReadings) -> tuple[Claim, ...]:
     def claim(number: int, text: str, limit: float, names: dict[str, str], apart: str = "", why: str = "") -> Claim:
-        figures = {label: column(trials, f"{name} exponent") for label, name in names.items()}
+        figures = {label: figure_column(trials, f"{name} exponent") for label, name in names.items()}
         measured = "exponent of the multiplications"
-        return variants(f"E6.{number}", text, measured, "1", Bound("≤", limit), figures, apart, why)
+        return judge_variants(f"E6.{number}", text, measured, "1", Bound("≤", limit), figures, apart, why)
 
     steps = {"dense slopes": "dense step", "one joint per sense": "sparse step"}
     return (
@@ -89,10 +89,10 @@ def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
     )  # fmt: skip
 
 
-def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
+def _tabulate_cost(trials: Sequence[Trial]) -> tuple[TextTable, ...]:
     names = [name for name in trials[0]["figures"] if not name.endswith("exponent")]
-    rows = [(name, f"{column(trials, name)[0]:.0f}") for name in names]
-    return (Table("Multiplications, by what is done and how large", ("what", "multiplications"), tuple(rows)),)
+    rows = [(name, f"{figure_column(trials, name)[0]:.0f}") for name in names]
+    return (TextTable("Multiplications, by what is done and how large", ("what", "multiplications"), tuple(rows)),)
 
 
-EXPERIMENT = Experiment("E6", "What it costs", _run, _claims, (), _tables)
+EXPERIMENT = Experiment("E6", "What it costs", _run_cost, _claim_cost, (), _tabulate_cost)

@@ -9,20 +9,20 @@ import numpy as np
 
 from ..types import Array
 from . import drawn
-from .cases import explored, signals
+from .cases import explore_by_preset, sample_signals
 from .claims import Bound, Claim
-from .judging import erratum
+from .judging import judge_erratum
 from .lab import Lab
 from .printed import DT, Map
-from .records import Experiment, Readings, Trial, column
+from .records import Experiment, ExperimentReadings, Trial, figure_column
 
 LASTING_S = 60.0
 """For how long the belief is integrated."""
 
 
-def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
-    log = signals(drawn.log(15.0, 0.02, seed, (True, True, False)))
-    known = explored(lab.body("paper", seed, "horizontal"))
+def _run_errata(lab: Lab, seed: int, tried: ExperimentReadings) -> Trial:
+    log = sample_signals(drawn.draw_log(15.0, 0.02, seed, (True, True, False)))
+    known = explore_by_preset(lab.body("paper", seed, "horizontal"))
     figures = {
         "printed prior": grow_belief(log.encoders, True),
         "ours prior": grow_belief(log.encoders, False),
@@ -79,14 +79,14 @@ EQUATIONS: tuple[tuple[str, str, str, str, Bound, str], ...] = (
 """Figure's name · the printed claim · what is measured, its unit and bound · derivation; numbered from 1."""
 
 
-def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
+def _claim_errata(trials: Sequence[Trial], tried: ExperimentReadings) -> tuple[Claim, ...]:
     def compared(name: str) -> dict[str, Sequence[float]]:
-        return {"as printed": column(trials, f"printed {name}"), "as run": column(trials, f"ours {name}")}
+        return {"as printed": figure_column(trials, f"printed {name}"), "as run": figure_column(trials, f"ours {name}")}
 
     return tuple(
-        erratum(f"Errata.{k}", text, measured, unit, bound, compared(name), derivation)
+        judge_erratum(f"Errata.{k}", text, measured, unit, bound, compared(name), derivation)
         for k, (name, text, measured, unit, bound, derivation) in enumerate(EQUATIONS, 1)
     )
 
 
-EXPERIMENT = Experiment("Errata", "The equations as printed", _run, _claims)
+EXPERIMENT = Experiment("Errata", "The equations as printed", _run_errata, _claim_errata)

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 
-def jsonable(value: Any) -> Any:
+def to_json_value(value: Any) -> Any:
     """The value without NumPy types; infinity is the text inf, what is not a number is null."""
     if isinstance(value, Mapping):
-        return {str(key): jsonable(item) for key, item in value.items()}
+        return {str(key): to_json_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [jsonable(item) for item in value]
+        return [to_json_value(item) for item in value]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, float | np.floating):

@@ -24,7 +24,7 @@ from .claims import (
 )
 from .readings import CENTRE, CONSTANTS
 
-SHARE = 0.9
+DECIDING_SHARE = 0.9
 """Share of the seeds that decides: so many must test a claim in a reading, and so many of those must keep it."""
 CONFIDENCE = 0.95
 DIVERGED = "the model diverged"
@@ -36,50 +36,50 @@ Figures = Callable[[str, str], tuple[float, ...]]
 """(reading's key, figure's name) -> the figure of every seed."""
 
 
-def paper(
+def judge_paper_claim(
     name: str, text: str, measured: str, unit: str, bound: Bound, figure: str, figures: Figures,
     tried: Sequence[str], swept: Sequence[Swept] = (), controls: Sequence[Control] = (), explanation: str = "",
 ) -> Claim:  # fmt: skip
     """A claim of the paper, judged in the readings `tried` (keys), with those that sweep one constant each."""
     outcomes = {key: judge_reading(bound, figure, figures, key, controls) for key in tried}
-    swings = _swings(swept, lambda key: judge_reading(bound, figure, figures, key, controls))
+    swings = _group_swept_outcomes(swept, lambda key: judge_reading(bound, figure, figures, key, controls))
     verdict, guilty = verdict_of(outcomes)
     swings = {name: found for name, found in swings.items() if name in guilty}
-    texts = tuple(f"{c.measured}: {c.bound}{_unit(c.unit)}" for c in controls)
+    texts = tuple(f"{c.measured}: {c.bound}{_unit_suffix(c.unit)}" for c in controls)
     return Claim(
         name, "paper", text, measured, unit, str(bound), verdict, outcomes, count_states(outcomes),
-        list_reasons(outcomes), texts, swings, turns(outcomes, swings, guilty), explanation,
+        list_reasons(outcomes), texts, swings, describe_turning_points(outcomes, swings, guilty), explanation,
     )  # fmt: skip
 
 
-def own(
+def judge_own_claim(
     name: str, text: str, measured: str, unit: str, bound: Bound, figures: Sequence[float], explanation: str = ""
 ) -> Claim:
     """A claim of our own, of our default alone; a belief that diverged refutes it."""
     outcomes = {"default": _judge_all_seeds(bound, figures)}
-    return _decided("own", name, text, measured, unit, bound, outcomes, explanation)
+    return _decide_by_last_outcome("own", name, text, measured, unit, bound, outcomes, explanation)
 
 
-def comparison(
+def judge_comparison(
     name: str, text: str, measured: str, unit: str, bound: Bound, figures: Mapping[str, Sequence[float]],
     shared: str, differences: str,
 ) -> Claim:  # fmt: skip
     """A comparison with others' figures, with the setup's shared and differing parts; the last figure decides."""
     outcomes = {who: _judge_all_seeds(bound, values) for who, values in figures.items()}
-    claim = _decided("comparison", name, text, measured, unit, bound, outcomes)
+    claim = _decide_by_last_outcome("comparison", name, text, measured, unit, bound, outcomes)
     return replace(claim, shared=shared, differences=differences)
 
 
-def erratum(
+def judge_erratum(
     name: str, text: str, measured: str, unit: str, bound: Bound, figures: Mapping[str, Sequence[float]],
     derivation: str,
 ) -> Claim:  # fmt: skip
     """An equation's effect as printed and, last, as run here, with the derivation."""
     outcomes = {who: _judge_all_seeds(bound, values) for who, values in figures.items()}
-    return _decided("erratum", name, text, measured, unit, bound, outcomes, derivation)
+    return _decide_by_last_outcome("erratum", name, text, measured, unit, bound, outcomes, derivation)
 
 
-def _decided(
+def _decide_by_last_outcome(
     kind: str, name: str, text: str, measured: str, unit: str, bound: Bound, outcomes: Mapping[str, Outcome],
     explanation: str = "",
 ) -> Claim:  # fmt: skip
@@ -93,7 +93,7 @@ def _decided(
     )  # fmt: skip
 
 
-def variants(
+def judge_variants(
     name: str, text: str, measured: str, unit: str, bound: Bound, figures: Mapping[str, Sequence[float]],
     apart: str, explanation: str = "",
 ) -> Claim:  # fmt: skip
@@ -108,7 +108,7 @@ def variants(
     )  # fmt: skip
 
 
-def untestable(name: str, text: str, why: str) -> Claim:
+def untestable_claim(name: str, text: str, why: str) -> Claim:
     """A claim of the paper that no simulation can decide, and why."""
     reasons = (f"{UNTESTED}: {why}",)
     return Claim(name, "paper", text, "", "1", "", UNTESTABLE, {}, Counts(), reasons, explanation=why)
@@ -127,30 +127,30 @@ def judge_reading(bound: Bound, figure: str, figures: Figures, key: str, control
         kept = control.bound.kept(found)
         failed = [not good and not gone for good, gone in zip(kept, failures[DIVERGED], strict=True)]
         where = np.median([value for value, bad in zip(found, failed, strict=True) if bad]) if any(failed) else 0.0
-        text = f"{control.measured} is {where:.3g}{_unit(control.unit)} and must be {control.bound}"
+        text = f"{control.measured} is {where:.3g}{_unit_suffix(control.unit)} and must be {control.bound}"
         failures[text] = failed
     tested = [not any(column) for column in zip(*failures.values(), strict=True)]
-    return _outcome(bound, values, tested, {text: sum(failed) for text, failed in failures.items()})
+    return _judge_outcome(bound, values, tested, {text: sum(failed) for text, failed in failures.items()})
 
 
 def _judge_all_seeds(bound: Bound, values: Sequence[float]) -> Outcome:
     """What figures do to a claim that every seed tests."""
-    return _outcome(bound, values, [True] * len(values), {})
+    return _judge_outcome(bound, values, [True] * len(values), {})
 
 
-def _outcome(bound: Bound, values: Sequence[float], tested: Sequence[bool], failures: Mapping[str, int]) -> Outcome:
+def _judge_outcome(bound: Bound, values: Sequence[float], tested: Sequence[bool], failures: Mapping[str, int]) -> Outcome:
     seeds, tests = len(values), sum(tested)
     keeps = sum(kept and sound for kept, sound in zip(bound.kept(values), tested, strict=True))
     numbers = [float(value) for value in values if not np.isnan(value)]
     median = float(np.median(numbers)) if numbers else float("nan")
-    if tests < SHARE * seeds:
+    if tests < DECIDING_SHARE * seeds:
         state = UNTESTED
         found = [f"{text}, in {count} of {seeds} seeds" for text, count in failures.items() if count]
         reason = "; ".join(found)
     else:
-        state = KEPT if keeps >= SHARE * tests else REFUTED
+        state = KEPT if keeps >= DECIDING_SHARE * tests else REFUTED
         reason = "" if state == KEPT else f"{median:.3g}, kept by {keeps} of {tests} seeds"
-    return Outcome(tuple(map(float, values)), median, interval(numbers), tests, keeps, state, reason)
+    return Outcome(tuple(map(float, values)), median, median_interval(numbers), tests, keeps, state, reason)
 
 
 def count_states(outcomes: Mapping[str, Outcome]) -> Counts:
@@ -169,7 +169,7 @@ def list_reasons(outcomes: Mapping[str, Outcome]) -> tuple[str, ...]:
     return tuple(f"{state} at {'; '.join(keys)}: {reason}" for (state, reason), keys in groups.items())
 
 
-def interval(values: Sequence[float]) -> tuple[float, float]:
+def median_interval(values: Sequence[float]) -> tuple[float, float]:
     """A distribution-free interval of the median: order statistics that hold it with 95 %; all of few values."""
     ordered = sorted(values)
     n = len(ordered)
@@ -193,7 +193,7 @@ def verdict_of(outcomes: Mapping[str, Outcome]) -> tuple[str, tuple[str, ...]]:
     if not states:
         return UNTESTED, ()
     first = states.get(CENTRE, next(iter(states.values())))
-    other = [readings.parsed(key) for key, state in states.items() if state != first]
+    other = [readings.parse_reading(key) for key, state in states.items() if state != first]
     if not other:
         return first, ()
     fewest = min(len(reading) for reading in other)
@@ -202,7 +202,7 @@ def verdict_of(outcomes: Mapping[str, Outcome]) -> tuple[str, tuple[str, ...]]:
     return f"{DEPENDS} {', '.join(CONSTANTS[name].symbol for name in guilty)}", guilty
 
 
-def turns(
+def describe_turning_points(
     outcomes: Mapping[str, Outcome], swept: Mapping[str, Sequence[tuple[float, Outcome]]], guilty: Sequence[str]
 ) -> str:
     """Where the verdict changes: between which tested numbers of each constant, or for which of its values."""
@@ -212,25 +212,25 @@ def turns(
         found = [(a, b) for (a, x), (b, y) in pairwise(tested) if x != y]
         symbol, unit = CONSTANTS[name].symbol, CONSTANTS[name].unit
         between = " and ".join(f"between {a:g} and {b:g}" for a, b in found)
-        parts.append(f"{symbol}: {between} ({unit})" if found else f"{symbol}: {_valued(outcomes, name)}")
+        parts.append(f"{symbol}: {between} ({unit})" if found else f"{symbol}: {_describe_values(outcomes, name)}")
     return "; ".join(parts)
 
 
-def _valued(outcomes: Mapping[str, Outcome], name: str) -> str:
+def _describe_values(outcomes: Mapping[str, Outcome], name: str) -> str:
     """What each reading of this constant, and the centre, does to the claim."""
     texts = []
     for key, found in outcomes.items():
-        if key == CENTRE or name in readings.parsed(key):
+        if key == CENTRE or name in readings.parse_reading(key):
             texts.append(f"{found.state} at {key}")
     return ", ".join(texts)
 
 
-def _swings(swept: Sequence[Swept], found: Callable[[str], Outcome]) -> dict[str, tuple[tuple[float, Outcome], ...]]:
+def _group_swept_outcomes(swept: Sequence[Swept], found: Callable[[str], Outcome]) -> dict[str, tuple[tuple[float, Outcome], ...]]:
     by: dict[str, list[tuple[float, Outcome]]] = {}
     for name, number, key in swept:
         by.setdefault(name, []).append((number, found(key)))
     return {name: tuple(sorted(rows, key=lambda row: row[0])) for name, rows in by.items()}
 
 
-def _unit(unit: str) -> str:
+def _unit_suffix(unit: str) -> str:
     return "" if unit == "1" else f" {unit}"

@@ -10,11 +10,11 @@ from typing import Any
 from .. import pipeline
 from ..body_model import BodyModel
 from ..io import atomic_files
-from ..io.temporary import scratch
-from ..settings import Body, Colours, Fit, Settings
+from ..io.temporary import create_scratch_folder
+from ..settings import BodySettings, ColourSettings, FitSettings, Settings
 from ..types import Array, Features, Series
 from ..version import __version__
-from .json_values import jsonable
+from .json_values import to_json_value
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 """The paper's shoulder 1, shoulder 2 and elbow, the order of x."""
@@ -22,7 +22,7 @@ NAMES = ("shoulder 1", "shoulder 2", "elbow")
 """The paper's names."""
 EXPLORATION_S = 30.0
 """Duration of an exploration."""
-ELSEWHERE = 1000
+OTHER_LOG_SEED = 1000
 """Added to the seed for another log of the same kind."""
 
 
@@ -35,9 +35,9 @@ class ObservedLog:
 
     def true(self, joints: tuple[str, ...], t: Array) -> Array:
         """True angles (N,M) rad of these joints at times t (N,) s."""
-        from ..evaluation.scores import at_times
+        from ..evaluation.scores import truth_at_times
 
-        return at_times(self.truth, list(joints), t)
+        return truth_at_times(self.truth, list(joints), t)
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Lab:
     markers: Mapping[str, str] = field(default_factory=dict)
 
     def observed(self, scenario: str, seed: int, **options: Any) -> ObservedLog:
-        """The features of a recording of `scenario` (options as `sim.record`), made unless it exists."""
+        """The features of a recording of `scenario` (options as `sim.record_scenario`), made unless it exists."""
         settings = self._settings()
         read, features = pipeline.observe(self.log(scenario, seed, **options), settings)
         assert read.truth is not None  # every simulated log carries it
@@ -60,7 +60,7 @@ class Lab:
         """The recording's signals and tracks, without its images."""
         path = self._path(f"{scenario}-{seed}", "mcap", options)
         if not path.exists():
-            with scratch() as folder:  # another process may be recording the same
+            with create_scratch_folder() as folder:  # another process may be recording the same
                 whole = folder / path.name
                 pipeline.record(scenario, whole, seed=seed, size=self.size, **options)
                 pipeline.extract(whole, path, self._settings())
@@ -74,10 +74,10 @@ class Lab:
         options = {"duration": self.exploration, **options}
         path = self._path(f"body-{scenario}-{preset}-{seed}", "npz", {**options, "joints": joints, "touched": touched})
         if not path.exists():
-            settings = replace(self._settings(), fit=Fit(preset=preset), body=Body(joints=joints))
-            strokes = [self.log("touch", seed + ELSEWHERE)] if touched else []
+            settings = replace(self._settings(), fit=FitSettings(preset=preset), body=BodySettings(joints=joints))
+            strokes = [self.log("touch", seed + OTHER_LOG_SEED)] if touched else []
             pipeline.fit([self.log(scenario, seed, **options), *strokes], path, settings)
-        return storage.load(path)
+        return storage.load_body(path)
 
     def key(self, options: Mapping[str, Any]) -> str:
         """Digest of a kept file's inputs, 12 hex digits."""
@@ -90,13 +90,13 @@ class Lab:
         return self.folder / f"{name}-{self.key(options)}.{suffix}"
 
     def _settings(self) -> Settings:
-        return Settings(colours=Colours(markers=self.markers))
+        return Settings(colours=ColourSettings(markers=self.markers))
 
 
-def kept(path: Path, make: Any) -> Any:
+def load_or_make(path: Path, make: Any) -> Any:
     """The value in a JSON file; made by `make()` and stored there unless it exists."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_files.replacing(path) as beside:
-            beside.write_text(json.dumps(jsonable(make()), sort_keys=True), encoding="utf-8")
+        with atomic_files.replace_atomically(path) as beside:
+            beside.write_text(json.dumps(to_json_value(make()), sort_keys=True), encoding="utf-8")
     return json.loads(path.read_text(encoding="utf-8"))

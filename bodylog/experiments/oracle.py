@@ -10,7 +10,7 @@ from math import factorial
 import numpy as np
 
 from ..types import Array
-from .drawn import place
+from .drawn import place_in_image
 
 DENSITIES = {2: np.geomspace(0.003, 3.0, 7), 3: np.geomspace(0.03, 300.0, 9)}
 """rad²/s³ of white acceleration · rad²/s⁵ of white jerk: tried by order of the motion."""
@@ -32,7 +32,7 @@ class OracleInputs:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class OracleBeliefs:
     """The filter's and the smoother's beliefs: (E,M) rad each, and the motion's order of greatest evidence."""
 
     filtered: Array
@@ -40,22 +40,22 @@ class Known:
     order: int
 
 
-def known(inputs: OracleInputs) -> Known:
+def estimate_by_oracle(inputs: OracleInputs) -> OracleBeliefs:
     """The beliefs by the order and density of greatest evidence."""
-    runs = {order: _filtered(inputs, order, DENSITIES[order], None) for order in DENSITIES}
+    runs = {order: _filter_forward(inputs, order, DENSITIES[order], None) for order in DENSITIES}
     order = max(runs, key=lambda o: float(runs[o].nats.max()))
     best = DENSITIES[order][[int(runs[order].nats.argmax())]]
     joints = inputs.encoders.shape[1]
-    run = _filtered(inputs, order, best, None)
+    run = _filter_forward(inputs, order, best, None)
     filtered, path = run.mean[:, 0, :joints], None
     for _ in range(PASSES):
-        path = _smoothed(run)[..., :joints]
-        run = _filtered(inputs, order, best, path)
-    return Known(filtered, _smoothed(run)[:, 0, :joints], order)
+        path = _smooth_backward(run)[..., :joints]
+        run = _filter_forward(inputs, order, best, path)
+    return OracleBeliefs(filtered, _smooth_backward(run)[:, 0, :joints], order)
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
+class _FilterPass:
     """A filter's pass: move (E,D,D) · prior, mean (E,Q,D) · prior_cov, cov (E,Q,D,D) · evidence (Q,) nats."""
 
     move: Array
@@ -66,7 +66,7 @@ class _Run:
     nats: Array
 
 
-def motion(order: int, dt: float, joints: int) -> tuple[Array, Array]:
+def discretise_motion(order: int, dt: float, joints: int) -> tuple[Array, Array]:
     """Transition (D,D) and noise (D,D) of unit density over dt s, of `order` derivatives driven by white noise."""
     move = np.array([[dt ** (j - i) / factorial(j - i) if j >= i else 0.0 for j in range(order)] for i in range(order)])
     up = [order - 1 - i for i in range(order)]
@@ -74,26 +74,26 @@ def motion(order: int, dt: float, joints: int) -> tuple[Array, Array]:
     return np.kron(move, np.eye(joints)), np.kron(np.array(noise), np.eye(joints))
 
 
-def _filtered(inputs: OracleInputs, order: int, densities: Array, path: Array | None) -> _Run:
+def _filter_forward(inputs: OracleInputs, order: int, densities: Array, path: Array | None) -> _FilterPass:
     joints, count = inputs.encoders.shape[1], len(densities)
     first = np.array([column[np.isfinite(column)][0] for column in inputs.encoders.T])
     z = np.tile(np.concatenate([first, np.zeros((order - 1) * joints)]), (count, 1))
     p, nats = np.tile(np.eye(order * joints), (count, 1, 1)), np.zeros(count)
     rows: tuple[list[Array], ...] = ([], [], [], [], [])
     for k, dt in enumerate(np.diff(inputs.t, prepend=inputs.t[0])):
-        move, noise = motion(order, float(dt), joints)
+        move, noise = discretise_motion(order, float(dt), joints)
         z, p = z @ move.T, move @ p @ move.T + densities[:, None, None] * noise
         prior, prior_cov = z, p
         at = z[:, :joints] if path is None else path[k]
-        z, p, more = _updated(inputs, k, z, p, at)
+        z, p, more = _update_with_readings(inputs, k, z, p, at)
         nats = nats + more
         for row, value in zip(rows, (move, prior, prior_cov, z, p), strict=True):
             row.append(value)
     moves, priors, prior_covs, means, covs = (np.array(row) for row in rows)
-    return _Run(moves, priors, prior_covs, means, covs, nats)
+    return _FilterPass(moves, priors, prior_covs, means, covs, nats)
 
 
-def _updated(inputs: OracleInputs, k: int, z: Array, p: Array, at: Array) -> tuple[Array, Array, Array]:
+def _update_with_readings(inputs: OracleInputs, k: int, z: Array, p: Array, at: Array) -> tuple[Array, Array, Array]:
     """One update with all readings of an instant, the camera linearised at (Q,M) rad; its evidence (Q,) nats."""
     joints, (count, size) = inputs.encoders.shape[1], z.shape
     use = np.flatnonzero(np.isfinite(inputs.encoders[k]))
@@ -102,7 +102,7 @@ def _updated(inputs: OracleInputs, k: int, z: Array, p: Array, at: Array) -> tup
     if np.isfinite(inputs.place[k]).all():
         steps = STEP * np.eye(joints)
         near = at[:, None] + np.concatenate([np.zeros((1, joints)), steps, -steps])
-        seen = place(near.reshape(-1, joints)).reshape(count, -1, 2)
+        seen = place_in_image(near.reshape(-1, joints)).reshape(count, -1, 2)
         slope = np.swapaxes(seen[:, 1 : joints + 1] - seen[:, joints + 1 :], 1, 2) / (2.0 * STEP)
         h.append(np.concatenate([slope, np.zeros((count, 2, size - joints))], axis=2))
         y.append(inputs.place[k] - seen[:, 0] + np.einsum("qdm,qm->qd", slope, at))
@@ -120,7 +120,7 @@ def _updated(inputs: OracleInputs, k: int, z: Array, p: Array, at: Array) -> tup
     return z + np.einsum("qkd,qd->qk", gain, off), cov, nats
 
 
-def _smoothed(run: _Run) -> Array:
+def _smooth_backward(run: _FilterPass) -> Array:
     """The smoothed means (E,Q,D)."""
     smooth = [run.mean[-1]]
     for k in range(len(run.mean) - 2, -1, -1):

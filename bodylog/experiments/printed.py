@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimation.methods.algorithm1 import Dynamics, SensedErrors, descend
-from ..estimation.methods.kalman import static
+from ..estimation.methods.algorithm1 import CodingDynamics, SensedErrors, descend_free_energy
+from ..estimation.methods.kalman import filter_static_angles
 from ..estimation.methods.paper_touch import spatial_coherence
 from ..types import Array
 
@@ -95,7 +95,7 @@ class Runs:
     errors: Array
 
 
-def believed(signals: Signals, cases: Sequence[Case]) -> Runs:
+def run_printed_model(signals: Signals, cases: Sequence[Case]) -> Runs:
     """Algorithm 1, its errata applied, for every case on one log."""
     senses = CaseSenses(signals, cases)
     count, joints = len(signals.t), signals.encoders.shape[1]
@@ -103,7 +103,7 @@ def believed(signals: Signals, cases: Sequence[Case]) -> Runs:
     errors = np.full((len(cases), count, joints + 2), np.nan)
     start, prior = (np.array([getattr(one, name) for one in cases], float) for name in ("start", "prior"))
     with np.errstate(all="ignore"):  # diverging runs end as NaN
-        for k, step in enumerate(descend(start, prior, count, senses.at, _dynamics(cases, joints))):
+        for k, step in enumerate(descend_free_energy(start, prior, count, senses.at, _printed_dynamics(cases, joints))):
             x[:, k], errors[:, k] = step.x, step.errors[:, : joints + 2]
     gone = np.maximum.accumulate(~(np.abs(x).max(axis=2) <= WIDEST_ANGLE_RAD), axis=1)
     return Runs(np.where(gone[:, :, None], np.nan, x), errors)
@@ -111,12 +111,12 @@ def believed(signals: Signals, cases: Sequence[Case]) -> Runs:
 
 def filter_encoders(signals: Signals, start: Array) -> Array:
     """The paper's Kalman filter (`estimation`'s) on the encoders alone: beliefs (N,M) rad from `start` (M,) rad."""
-    return static(signals.encoders, start, SIGMA_P)[0]
+    return filter_static_angles(signals.encoders, start, SIGMA_P)[0]
 
 
-def _dynamics(cases: Sequence[Case], joints: int) -> Dynamics:
+def _printed_dynamics(cases: Sequence[Case], joints: int) -> CodingDynamics:
     """σ_x = 1, as printed, and each case's λ and integration."""
-    return Dynamics(
+    return CodingDynamics(
         DT,
         np.ones((len(cases), joints)),
         np.array([one.rate for one in cases]),

@@ -160,16 +160,16 @@ TOGETHER: tuple[Reading, ...] = (
 """Readings of several constants at once: those in which one constant cancels the effect of another."""
 
 
-def key(reading: Reading) -> str:
+def reading_key(reading: Reading) -> str:
     """The reading as text, its constants in the table's order; CENTRE where all are at the centre."""
     parts = [
-        f"{name}={reading[name]}" for name in CONSTANTS if reading.get(name, CONSTANTS[name].centre) != _centre(name)
+        f"{name}={reading[name]}" for name in CONSTANTS if reading.get(name, CONSTANTS[name].centre) != _central_value(name)
     ]
     return ",".join(parts) or CENTRE
 
 
-def parsed(text: str) -> Reading:
-    """The reading that `key` wrote or a user typed; UsageError names the possible values."""
+def parse_reading(text: str) -> Reading:
+    """The reading that `reading_key` wrote or a user typed; UsageError names the possible values."""
     if text == CENTRE:
         return {}
     found: dict[str, str] = {}
@@ -180,15 +180,15 @@ def parsed(text: str) -> Reading:
             raise UsageError(
                 f"--reading {part!r}: the constant must be one of {possible}; type: --reading sigma_n=noise"
             )
-        found[name] = _value(name, value)
+        found[name] = _parse_reading_value(name, value)
     return found
 
 
-def _value(name: str, value: str) -> str:
+def _parse_reading_value(name: str, value: str) -> str:
     constant = CONSTANTS[name]
     if value in constant.values:
         return value
-    number = _number(value)
+    number = _parse_bounded_number(value)
     if constant.sweep and number is not None and number > 0.0:
         return f"{number:g}"
     axis = f", or a number above 0 ({constant.unit})" if constant.sweep else ""
@@ -196,7 +196,7 @@ def _value(name: str, value: str) -> str:
     raise UsageError(f"--reading {name}={value}: possible: {possible}; type: --reading {name}={constant.centre}")
 
 
-def _number(text: str) -> float | None:
+def _parse_bounded_number(text: str) -> float | None:
     try:
         found = float(text)
     except ValueError:
@@ -204,25 +204,25 @@ def _number(text: str) -> float | None:
     return found if abs(found) < 1e30 else None
 
 
-def value(reading: Reading, name: str) -> str:
+def reading_value(reading: Reading, name: str) -> str:
     """A constant's value in a reading: a value's name, or a number as text."""
-    return reading.get(name, _centre(name))
+    return reading.get(name, _central_value(name))
 
 
-def number(reading: Reading, name: str) -> float | None:
+def reading_number(reading: Reading, name: str) -> float | None:
     """The reading's number on the constant's axis; None for a named value that depends on the log."""
-    text = value(reading, name)
+    text = reading_value(reading, name)
     return CONSTANTS[name].at.get(text) if text in CONSTANTS[name].values else float(text)
 
 
-def restricted(tried: Iterable[Reading], names: Iterable[str]) -> tuple[Reading, ...]:
+def restrict_readings(tried: Iterable[Reading], names: Iterable[str]) -> tuple[Reading, ...]:
     """The readings of these constants alone; all if there are none, as for a single requested reading."""
     held = set(names)
     found = list(tried)
     return tuple(reading for reading in found if set(reading) <= held) or tuple(found)
 
 
-def design(concerned: Iterable[str]) -> tuple[Reading, ...]:
+def design_readings(concerned: Iterable[str]) -> tuple[Reading, ...]:
     """The readings for a claim about these constants: the centre, one constant at a time, and TOGETHER."""
     names = [name for name in CONSTANTS if name in set(concerned)]
     alone: list[Reading] = [{name: v} for name in names for v in list(CONSTANTS[name].values)[1:]]
@@ -230,10 +230,10 @@ def design(concerned: Iterable[str]) -> tuple[Reading, ...]:
     return ({}, *alone, *together)
 
 
-def sweeps(concerned: Iterable[str]) -> tuple[tuple[str, float, Reading], ...]:
+def list_sweeps(concerned: Iterable[str]) -> tuple[tuple[str, float, Reading], ...]:
     """The readings that sweep one constant each, the others at the centre: constant, number, reading."""
     return tuple((name, v, {name: f"{v:g}"}) for name in concerned for v in CONSTANTS[name].sweep)
 
 
-def _centre(name: str) -> str:
+def _central_value(name: str) -> str:
     return CONSTANTS[name].centre

@@ -8,7 +8,7 @@ import numpy as np
 
 from .claims import Claim
 from .judging import Figures, Swept
-from .readings import CENTRE, Reading, key, restricted
+from .readings import CENTRE, Reading, reading_key, restrict_readings
 
 if TYPE_CHECKING:
     from .lab import Lab
@@ -18,7 +18,7 @@ Trial = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Readings:
+class ExperimentReadings:
     """The readings of an experiment: those that decide, and those that sweep one constant each."""
 
     decide: tuple[Reading, ...]
@@ -27,22 +27,22 @@ class Readings:
     @property
     def all(self) -> tuple[Reading, ...]:
         """Both kinds, each reading once."""
-        found = {key(reading): reading for reading in (*self.decide, *(r for _, _, r in self.sweep))}
+        found = {reading_key(reading): reading for reading in (*self.decide, *(r for _, _, r in self.sweep))}
         return tuple(found.values())
 
-    def restricted(self, *names: str) -> "Readings":
+    def restricted(self, *names: str) -> "ExperimentReadings":
         """The readings of these constants alone."""
-        return Readings(restricted(self.decide, names), tuple(row for row in self.sweep if row[0] in names))
+        return ExperimentReadings(restrict_readings(self.decide, names), tuple(row for row in self.sweep if row[0] in names))
 
     @property
     def keys(self) -> tuple[str, ...]:
         """The keys of the readings that decide."""
-        return tuple(key(reading) for reading in self.decide)
+        return tuple(reading_key(reading) for reading in self.decide)
 
     @property
     def swept(self) -> tuple[Swept, ...]:
-        """The readings that sweep, as `judging.paper` takes them."""
-        return tuple((name, number, key(reading)) for name, number, reading in self.sweep)
+        """The readings that sweep, as `judging.judge_paper_claim` takes them."""
+        return tuple((name, number, reading_key(reading)) for name, number, reading in self.sweep)
 
 
 @dataclass(frozen=True)
@@ -54,14 +54,14 @@ class Experiment:
 
     name: str
     title: str
-    run: "Callable[[Lab, int, Readings], Trial]"
-    claims: Callable[[Sequence[Trial], Readings], tuple[Claim, ...]]
+    run: "Callable[[Lab, int, ExperimentReadings], Trial]"
+    claims: Callable[[Sequence[Trial], ExperimentReadings], tuple[Claim, ...]]
     concerned: tuple[str, ...] = ()
-    tables: Callable[[Sequence[Trial]], "tuple[Table, ...]"] = field(default=lambda trials: ())
+    tables: Callable[[Sequence[Trial]], "tuple[TextTable, ...]"] = field(default=lambda trials: ())
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """A table of the page: caption, head, rows of text."""
 
     caption: str
@@ -69,29 +69,29 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
 
-def named(reading: str, figure: str) -> str:
+def name_figure(reading: str, figure: str) -> str:
     """The name of a reading's figure in a trial."""
     return f"{reading} | {figure}"
 
 
 def by_reading(trials: Sequence[Trial]) -> Figures:
     """A trial's figures by reading and name."""
-    return lambda reading, figure: column(trials, named(reading, figure))
+    return lambda reading, figure: figure_column(trials, name_figure(reading, figure))
 
 
-def shown(trials: Sequence[Trial]) -> str:
+def shown_reading_key(trials: Sequence[Trial]) -> str:
     """The key of the reading that tables and figures show: the centre, or the requested one."""
     found = sorted({name.partition(" | ")[0] for name in trials[0]["figures"] if " | " in name})
     return CENTRE if CENTRE in found or not found else found[0]
 
 
-def column(trials: Sequence[Trial], name: str) -> tuple[float, ...]:
+def figure_column(trials: Sequence[Trial], name: str) -> tuple[float, ...]:
     """One figure of every seed; JSON's null is NaN."""
     found = (trial["figures"][name] for trial in trials)
     return tuple(float("nan") if value is None else float(value) for value in found)
 
 
-def panel(
+def build_panel(
     title: str, unit: str, t: Any, lines: Mapping[str, Any], figure: str = "", axis: str = "s", most: int = 240
 ) -> dict[str, Any]:
     """A plot over t (N,) for the page: lines {label: (N,)}, thinned to at most `most` points.

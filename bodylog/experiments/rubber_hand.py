@@ -14,13 +14,13 @@ from ..body_model import BodyModel
 from ..estimation.measurements.touch import has_weight
 from ..perception.touch.matching import match_touches as synchrony
 from ..types import Array, Features
-from .beliefs import Belief, noisier, ours
+from .beliefs import BeliefWithTruth, add_encoder_noise, believe_by_default
 from .claims import Bound, Claim
 from .drawn import SIZE, px_per_cm
-from .e5_rubber_hand import CALM, DISPLACEMENT, SIDES, final, stroked
-from .judging import own
+from .e5_rubber_hand import CALM, DISPLACEMENT, SIDES, final_drift, record_strokes
+from .judging import judge_own_claim
 from .lab import Lab, ObservedLog
-from .records import Experiment, Readings, Table, Trial, column, panel
+from .records import Experiment, ExperimentReadings, TextTable, Trial, figure_column, build_panel
 
 NOISE = 0.1
 """rad: noise added to the encoders in the documented setting: some degrees, like human proprioception."""
@@ -28,7 +28,7 @@ PRIOR = 0.5
 """Prior probability of a common cause where it is inferred: both explanations are as likely."""
 FAR_CM = 30.0
 """Displacement toward which people's illusion fades (Samad et al. 2015, figure 3)."""
-CURVE = 0.6
+DRIFT_GONE_S = 0.6
 """s: asynchrony at which the drift must be gone."""
 
 
@@ -45,7 +45,7 @@ SETTING = Setting()
 
 
 @dataclass(frozen=True, eq=False)
-class Drift:
+class TouchDrift:
     """Touch's effect: t (N,) s · px (N,) sideways · rad (N,M)."""
 
     t: Array
@@ -55,7 +55,7 @@ class Drift:
     @property
     def most(self) -> float:
         """The px of greatest size after the calm."""
-        return final(self.t, self.px)
+        return final_drift(self.t, self.px)
 
     @property
     def joint(self) -> float:
@@ -63,7 +63,7 @@ class Drift:
         return float(np.abs(self.rad[self.t >= CALM]).max())
 
 
-def displaced(log: ObservedLog, delay: float, share: float, side: float) -> ObservedLog:
+def displace_hand(log: ObservedLog, delay: float, share: float, side: float) -> ObservedLog:
     """The log with the image of the hand `delay` s later and `share` times as far aside; side −1 left, 1 right."""
     features = log.features
     hand = features.hand
@@ -76,66 +76,66 @@ def displaced(log: ObservedLog, delay: float, share: float, side: float) -> Obse
     return replace(log, features=replace(features, tracks=tracks, strokes=strokes, synchrony=found))
 
 
-def heeded(features: Features) -> bool:
+def has_weighted_touch(features: Features) -> bool:
     """Whether any touch has a weight: an estimate rejects a requested sense without readings."""
     return any(has_weight(pair) for pair in features.synchrony)
 
 
-def drift(log: ObservedLog, body: BodyModel, alone: Belief, common_cause: float | None = None) -> Drift:
+def measure_drift(log: ObservedLog, body: BodyModel, alone: BeliefWithTruth, common_cause: float | None = None) -> TouchDrift:
     """Touch's effect on the belief; `alone` is the belief without touch.
 
     common_cause: prior probability that touch and stroke have one cause; None takes it for granted.
     """
     sized = replace(log, features=replace(log.features, picture_size=SIZE))
     touched = alone
-    if heeded(log.features):
-        touched = ours(sized, body, ("encoders", "touch"), common_cause=common_cause)
+    if has_weighted_touch(log.features):
+        touched = believe_by_default(sized, body, ("encoders", "touch"), common_cause=common_cause)
     model = body.senses["effector"]
     before = alone.at(touched.t)
     px = model.predict(touched.x)[0][:, 0] - model.predict(before)[0][:, 0]
-    return Drift(touched.t, px, touched.x - before)
+    return TouchDrift(touched.t, px, touched.x - before)
 
 
-def run(lab: Lab, seed: int, tried: Readings, setting: Setting = SETTING) -> Trial:
+def run_rubber_hand_sweeps(lab: Lab, seed: int, tried: ExperimentReadings, setting: Setting = SETTING) -> Trial:
     """One seed of the instrument."""
     body = lab.body("default", seed, touched=True)
     figures: dict[str, float] = {}
-    courses: dict[str, Drift] = {}
+    courses: dict[str, TouchDrift] = {}
     for side, sign in SIDES.items():
-        log = stroked(lab, seed, "synchronous", side)
-        measured = _measuring(log, body, sign, seed)
+        log = record_strokes(lab, seed, "synchronous", side)
+        measured = _build_drift_function(log, body, sign, seed)
         for delay in setting.asynchrony:
             courses[f"{side}, {delay:g} s late"] = measured(NOISE, delay, 1.0)
-            figures |= _named(f"asynchrony {delay:g} {side}", courses[f"{side}, {delay:g} s late"], sign, 1.0)
+            figures |= _name_drift_figures(f"asynchrony {delay:g} {side}", courses[f"{side}, {delay:g} s late"], sign, 1.0)
         if side == "right":
             for share in setting.displacement:
-                figures |= _named(f"displacement {share:g} {side}", measured(NOISE, 0.0, share), sign, share)
+                figures |= _name_drift_figures(f"displacement {share:g} {side}", measured(NOISE, 0.0, share), sign, share)
                 inferred = measured(NOISE, 0.0, share, PRIOR)
-                figures |= _named(f"inferred displacement {share:g} {side}", inferred, sign, share)
+                figures |= _name_drift_figures(f"inferred displacement {share:g} {side}", inferred, sign, share)
             for noise in setting.noise:
-                figures |= _named(f"noise {noise:g} {side}", measured(noise, 0.0, 1.0), sign, 1.0)
-    figures |= _curve(figures, setting) | _faded(figures, setting)
-    return {"figures": figures, "panels": [*_panels(courses), _by_displacement(figures, setting)]}
+                figures |= _name_drift_figures(f"noise {noise:g} {side}", measured(noise, 0.0, 1.0), sign, 1.0)
+    figures |= _summarise_asynchrony(figures, setting) | _summarise_fading(figures, setting)
+    return {"figures": figures, "panels": [*_drift_course_panels(courses), _summarise_displacement(figures, setting)]}
 
 
-def _measuring(log: ObservedLog, body: BodyModel, sign: float, seed: int) -> Callable[..., Drift]:
+def _build_drift_function(log: ObservedLog, body: BodyModel, sign: float, seed: int) -> Callable[..., TouchDrift]:
     """drift(noise rad, delay s, share of the displacement, prior of a common cause or None).
 
     The belief without touch is found once per noise.
     """
-    alone: dict[float, tuple[ObservedLog, Belief]] = {}
+    alone: dict[float, tuple[ObservedLog, BeliefWithTruth]] = {}
 
-    def measured(noise: float, delay: float, share: float, common_cause: float | None = None) -> Drift:
+    def measured(noise: float, delay: float, share: float, common_cause: float | None = None) -> TouchDrift:
         if noise not in alone:
-            poor = noisier(log, noise, seed)
-            alone[noise] = poor, ours(poor, body, ("encoders",))
+            poor = add_encoder_noise(log, noise, seed)
+            alone[noise] = poor, believe_by_default(poor, body, ("encoders",))
         poor, without = alone[noise]
-        return drift(displaced(poor, delay, share, sign), body, without, common_cause)
+        return measure_drift(displace_hand(poor, delay, share, sign), body, without, common_cause)
 
     return measured
 
 
-def _named(name: str, found: Drift, sign: float, share: float) -> dict[str, float]:
+def _name_drift_figures(name: str, found: TouchDrift, sign: float, share: float) -> dict[str, float]:
     """Drift toward the hand: share of the displacement, px, cm at the effector's distance, largest move of a joint."""
     px = sign * found.most
     return {
@@ -146,11 +146,11 @@ def _named(name: str, found: Drift, sign: float, share: float) -> dict[str, floa
     }
 
 
-def _curve(figures: dict[str, float], setting: Setting) -> dict[str, float]:
-    """Over both sides: lesser synchronous drift, greater drift at CURVE s or more, largest rise with asynchrony."""
+def _summarise_asynchrony(figures: dict[str, float], setting: Setting) -> dict[str, float]:
+    """Over both sides: lesser synchronous drift, greater drift at DRIFT_GONE_S s or more, largest rise with asynchrony."""
     both = {side: [figures[f"asynchrony {d:g} {side}"] for d in setting.asynchrony] for side in SIDES}
     mean = np.mean(list(both.values()), axis=0)
-    late = [abs(found[k]) for found in both.values() for k, d in enumerate(setting.asynchrony) if d >= CURVE]
+    late = [abs(found[k]) for found in both.values() for k, d in enumerate(setting.asynchrony) if d >= DRIFT_GONE_S]
     return {
         "in time": float(min(found[0] for found in both.values())),
         "late": float(max(late, default=float("nan"))),
@@ -158,14 +158,14 @@ def _curve(figures: dict[str, float], setting: Setting) -> dict[str, float]:
     }
 
 
-def _faded(figures: dict[str, float], setting: Setting) -> dict[str, float]:
+def _summarise_fading(figures: dict[str, float], setting: Setting) -> dict[str, float]:
     """With the cause inferred: the largest drift at FAR_CM and beyond over the largest of all; none where none is."""
     drifts = {share: abs(figures[f"inferred displacement {share:g} right cm"]) for share in setting.displacement}
     far = [drift for share, drift in drifts.items() if share * DISPLACEMENT / px_per_cm() >= FAR_CM]
     return {"faded": max(far) / max(drifts.values())} if far else {}
 
 
-def _by_displacement(figures: dict[str, float], setting: Setting) -> dict[str, Any]:
+def _summarise_displacement(figures: dict[str, float], setting: Setting) -> dict[str, Any]:
     """Drift over displacement: a common cause taken for granted, and inferred."""
     aside = [share * DISPLACEMENT / px_per_cm() for share in setting.displacement]
     kinds = {"common cause taken for granted": "displacement", "common cause inferred": "inferred displacement"}
@@ -173,31 +173,31 @@ def _by_displacement(figures: dict[str, float], setting: Setting) -> dict[str, A
         label: [figures[f"{kind} {share:g} right cm"] for share in setting.displacement]
         for label, kind in kinds.items()
     }
-    return panel("drift by displacement, hand on the right", "cm", aside, lines, axis="cm aside")
+    return build_panel("drift by displacement, hand on the right", "cm", aside, lines, axis="cm aside")
 
 
-def _panels(courses: dict[str, Drift]) -> list[dict[str, Any]]:
+def _drift_course_panels(courses: dict[str, TouchDrift]) -> list[dict[str, Any]]:
     first = next(iter(courses.values()))
     late = {name: found.px for name, found in courses.items() if name.startswith("right")}
     sides = {name: found for name, found in courses.items() if name.endswith(" 0 s late")}
     shares = {name: np.interp(first.t, found.t, np.abs(found.px) / DISPLACEMENT) for name, found in sides.items()}
     return [
-        panel("drift of the effector, hand on the right", "px", first.t, late),
-        panel("drift in time, over the displacement", "1", first.t, shares),
+        build_panel("drift of the effector, hand on the right", "px", first.t, late),
+        build_panel("drift in time, over the displacement", "1", first.t, shares),
     ]
 
 
-def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
+def _claim_drift_by_cause(trials: Sequence[Trial], tried: ExperimentReadings) -> tuple[Claim, ...]:
     why = f"documented: {NOISE:g} rad of noise on the encoders, hand {DISPLACEMENT / px_per_cm():.0f} cm aside"
     return (
-        own("RH.1", "synchronous strokes drift the belief by at least 15 % of the displacement, toward either side",
-            "lesser drift of both sides over the displacement", "1", Bound("≥", 0.15), column(trials, "in time"), why),
-        own("RH.2", "0.6 s late and later they drift it by at most 2 %", "greatest drift over the displacement", "1",
-            Bound("≤", 0.02), column(trials, "late"), why),
-        own("RH.3", "the drift falls with asynchrony", "largest rise from one asynchrony to the next", "1",
-            Bound("≤", 0.0), column(trials, "rise"), "means of both sides"),
-        own("RH.4", "the drift's sign follows the side of the hand", "share of sides with that sign", "1",
-            Bound("≥", 1.0), [float(v > 0.0) for v in column(trials, "in time")]),
+        judge_own_claim("RH.1", "synchronous strokes drift the belief by at least 15 % of the displacement, toward either side",
+            "lesser drift of both sides over the displacement", "1", Bound("≥", 0.15), figure_column(trials, "in time"), why),
+        judge_own_claim("RH.2", "0.6 s late and later they drift it by at most 2 %", "greatest drift over the displacement", "1",
+            Bound("≤", 0.02), figure_column(trials, "late"), why),
+        judge_own_claim("RH.3", "the drift falls with asynchrony", "largest rise from one asynchrony to the next", "1",
+            Bound("≤", 0.0), figure_column(trials, "rise"), "means of both sides"),
+        judge_own_claim("RH.4", "the drift's sign follows the side of the hand", "share of sides with that sign", "1",
+            Bound("≥", 1.0), [float(v > 0.0) for v in figure_column(trials, "in time")]),
         *_claim_of_fading(trials),
     )  # fmt: skip
 
@@ -208,10 +208,10 @@ def _claim_of_fading(trials: Sequence[Trial]) -> tuple[Claim, ...]:
         return ()
     text = f"with a common cause inferred (prior {PRIOR:g}) the drift fades toward {FAR_CM:g} cm aside"
     measured = f"drift from {FAR_CM:g} cm on over the largest"
-    return (own("RH.5", text, measured, "1", Bound("≤", 0.1), column(trials, "faded")),)
+    return (judge_own_claim("RH.5", text, measured, "1", Bound("≤", 0.1), figure_column(trials, "faded")),)
 
 
-def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
+def _tabulate_drift_sweeps(trials: Sequence[Trial]) -> tuple[TextTable, ...]:
     head = ("", "share of the displacement", "px", "cm", "largest move of a joint, rad")
     units = {
         "asynchrony": "s late",
@@ -222,14 +222,14 @@ def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
     tables = []
     for what, unit in units.items():
         names = [n for n in trials[0]["figures"] if n.startswith(f"{what} ") and n.endswith(" right")]
-        rows = tuple((f"{name.split()[-2]} {unit}", *_cells(trials, name)) for name in names)
-        tables.append(Table(f"Drift toward a hand on the right by {what}, medians over the seeds", head, rows))
+        rows = tuple((f"{name.split()[-2]} {unit}", *_median_cells(trials, name)) for name in names)
+        tables.append(TextTable(f"Drift toward a hand on the right by {what}, medians over the seeds", head, rows))
     return tuple(tables)
 
 
-def _cells(trials: Sequence[Trial], name: str) -> tuple[str, ...]:
-    values = [float(np.median(column(trials, found))) for found in (name, f"{name} px", f"{name} cm", f"{name} rad")]
+def _median_cells(trials: Sequence[Trial], name: str) -> tuple[str, ...]:
+    values = [float(np.median(figure_column(trials, found))) for found in (name, f"{name} px", f"{name} cm", f"{name} rad")]
     return f"{values[0]:.3f}", f"{values[1]:.2f}", f"{values[2]:.2f}", f"{values[3]:.4f}"
 
 
-EXPERIMENT = Experiment("Rubber-hand", "The rubber hand as an instrument", run, _claims, (), _tables)
+EXPERIMENT = Experiment("Rubber-hand", "The rubber hand as an instrument", run_rubber_hand_sweeps, _claim_drift_by_cause, (), _tabulate_drift_sweeps)

@@ -13,15 +13,15 @@ from typing import Any
 from ..errors import PartError, UsageError
 from ..io.atomic_files import ensure_dir
 from ..io.temporary import remove_killed
-from ..runtime.workers import ended, ready, uninterrupted
+from ..runtime.workers import end_children_on_failure, become_worker, block_interrupts
 from ..sim import how_to_install
 from . import page, readings, real, rubber_hand
 from .claims import Claim
 from .drawn import SIZE
-from .lab import EXPLORATION_S, Lab, kept
+from .lab import EXPLORATION_S, Lab, load_or_make
 from .readings import Reading
-from .records import Readings, Trial
-from .table import ASKED, EXPERIMENTS, UNSEEDED
+from .records import ExperimentReadings, Trial
+from .table import RUN_ONLY_WHEN_NAMED, EXPERIMENTS, UNSEEDED
 
 Task = tuple[str, int]
 """An experiment's name and a seed."""
@@ -46,27 +46,27 @@ class Reproduction:
     setting: rubber_hand.Setting = rubber_hand.SETTING
     data: Path | None = None
 
-    def readings_of(self, name: str) -> Readings:
+    def readings_of(self, name: str) -> ExperimentReadings:
         """The readings that an experiment is run in."""
         concerned = EXPERIMENTS[name].concerned
         if self.reading is not None:
-            return Readings((self.reading,))
-        return Readings(readings.design(concerned), readings.sweeps(concerned)) if concerned else Readings(({},))
+            return ExperimentReadings((self.reading,))
+        return ExperimentReadings(readings.design_readings(concerned), readings.list_sweeps(concerned)) if concerned else ExperimentReadings(({},))
 
     def run(self, name: str, seed: int) -> Trial:
         """One seed of an experiment."""
         tried = self.readings_of(name)
         if name == "Rubber-hand":
-            return rubber_hand.run(self.lab, seed, tried, self.setting)
+            return rubber_hand.run_rubber_hand_sweeps(self.lab, seed, tried, self.setting)
         if name == "Real" and self.data is not None:
-            return real.run(self.lab, seed, tried, self.data)
+            return real.run_real_robots(self.lab, seed, tried, self.data)
         return EXPERIMENTS[name].run(self.lab, seed, tried)
 
     def key(self, name: str) -> str:
         """Digest of a kept trial's inputs."""
-        inputs: dict[str, Any] = {"readings": [readings.key(reading) for reading in self.readings_of(name).all]}
+        inputs: dict[str, Any] = {"readings": [readings.reading_key(reading) for reading in self.readings_of(name).all]}
         inputs |= {"setting": repr(self.setting)} if name == "Rubber-hand" else {}
-        inputs |= {"data": real.fingerprint(self.data)} if name == "Real" and self.data is not None else {}
+        inputs |= {"data": real.digest_tables(self.data)} if name == "Real" and self.data is not None else {}
         return self.lab.key(inputs)
 
     def seeds_of(self, name: str) -> range:
@@ -79,48 +79,48 @@ class Reproduction:
         return Lab(self.out / "work", SIZE, self.exploration)
 
 
-def reproduce(wish: Reproduction, progress: Progress | None = None) -> tuple[Claim, ...]:
+def run_reproduction(wish: Reproduction, progress: Progress | None = None) -> tuple[Claim, ...]:
     """Run missing trials, write index.html, claims.json, data and figures to `out`, return the claims."""
-    names = chosen(wish.names)
-    _ready(names, wish.data)
+    names = choose_experiments(wish.names)
+    _check_requirements(names, wish.data)
     tasks = [(name, seed) for name in names for seed in wish.seeds_of(name)]
     ensure_dir(wish.lab.folder)
-    for done, (name, seed) in enumerate(_finished(wish, tasks), 1):
+    for done, (name, seed) in enumerate(_iterate_finished(wish, tasks), 1):
         if progress:
             progress(f"{name} seed {seed}", done, len(tasks))
-    trials = {name: [trial(wish, name, seed) for seed in wish.seeds_of(name)] for name in names}
+    trials = {name: [load_or_run_trial(wish, name, seed) for seed in wish.seeds_of(name)] for name in names}
     tried = {name: wish.readings_of(name) for name in names}
-    return page.write(wish.out, trials, tried, wish.seeds, f"{SIZE[0]}×{SIZE[1]}")
+    return page.write_reproduction_page(wish.out, trials, tried, wish.seeds, f"{SIZE[0]}×{SIZE[1]}")
 
 
-def chosen(names: Sequence[str]) -> tuple[str, ...]:
+def choose_experiments(names: Sequence[str]) -> tuple[str, ...]:
     """The experiments named, in the table's order, or all that need no data; UsageError for an unknown one."""
     known = {name.lower(): name for name in EXPERIMENTS}
     for name in names:
         if name.lower() not in known:
             possible = ", ".join(EXPERIMENTS)
             raise UsageError(f"experiment {name!r}: it must be one of {possible}; type: bodylog reproduce E1 -o out")
-    wanted = {known[name.lower()] for name in names} or set(EXPERIMENTS) - set(ASKED)
+    wanted = {known[name.lower()] for name in names} or set(EXPERIMENTS) - set(RUN_ONLY_WHEN_NAMED)
     return tuple(name for name in EXPERIMENTS if name in wanted)
 
 
-def _ready(names: Sequence[str], data: Path | None) -> None:
+def _check_requirements(names: Sequence[str], data: Path | None) -> None:
     """UsageError, before any run, where a requirement is not installed or not given."""
     if "Real" in names:
         if data is None:
             raise UsageError(
                 "reproduce real: --data is not given; possible: the measurements' folder; type: --data DIR"
             )
-        real.fingerprint(data)
+        real.digest_tables(data)
     needed = [("pybullet", how_to_install())] if set(names) - {"Real"} else []
     for module, command in (*needed, ("matplotlib", "pip install 'bodylog[report]'")):
         if find_spec(module) is None:
             raise UsageError(f"reproduce: {module} is not installed; type: {command}")
 
 
-def trial(wish: Reproduction, name: str, seed: int) -> Trial:
+def load_or_run_trial(wish: Reproduction, name: str, seed: int) -> Trial:
     """One seed of an experiment, from the folder if it is there."""
-    found: dict[str, Any] = kept(trial_path(wish, name, seed), lambda: wish.run(name, seed))
+    found: dict[str, Any] = load_or_make(trial_path(wish, name, seed), lambda: wish.run(name, seed))
     return found
 
 
@@ -129,34 +129,34 @@ def trial_path(wish: Reproduction, name: str, seed: int) -> Path:
     return wish.lab.folder / "trials" / f"{name}-{seed}-{wish.key(name)}.json"
 
 
-def _finished(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
+def _iterate_finished(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
     """Tasks as they finish, those in the folder first."""
     there = [task for task in tasks if trial_path(wish, *task).exists()]
     yield from there
     left = [task for task in tasks if task not in there]
     if wish.jobs > 1 and len(left) > 1:
-        yield from _pooled(wish, left)
+        yield from _run_in_pool(wish, left)
         return
     for task in left:
-        trial(wish, *task)
+        load_or_run_trial(wish, *task)
         yield task
 
 
-def _worked(wish: Reproduction, name: str, seed: int) -> Trial:
+def _run_in_worker(wish: Reproduction, name: str, seed: int) -> Trial:
     """Run a trial in a worker. SystemExit ends the process: the pool would take it for a result and send the next."""
     try:
-        return trial(wish, name, seed)
+        return load_or_run_trial(wish, name, seed)
     except SystemExit as ending:
         os._exit(int(ending.code or 0))
 
 
-def _pooled(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
+def _run_in_pool(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
     """Tasks as worker processes finish them; PartError when a worker is killed."""
-    pool = ProcessPoolExecutor(wish.jobs, multiprocessing.get_context("spawn"), ready)
+    pool = ProcessPoolExecutor(wish.jobs, multiprocessing.get_context("spawn"), become_worker)
     try:
-        with ended():
-            with uninterrupted():
-                futures = {pool.submit(_worked, wish, *task): task for task in tasks}
+        with end_children_on_failure():
+            with block_interrupts():
+                futures = {pool.submit(_run_in_worker, wish, *task): task for task in tasks}
             for future in as_completed(futures):
                 future.result()
                 yield futures[future]

@@ -31,7 +31,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "Real": real.EXPERIMENT,
 }
 
-ASKED = ("Real",)
+RUN_ONLY_WHEN_NAMED = ("Real",)
 """Experiments that run only when they are named."""
 
 UNSEEDED = ("E6", "Real")

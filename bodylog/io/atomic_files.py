@@ -18,22 +18,22 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replace_atomically(path: Path) -> Iterator[Path]:
     """An empty file beside `path` to write to; on success it is synced and replaces `path`, else it is removed.
 
     A symlink's target is replaced, or created; permissions are kept. Left-overs of killed runs in the folder are
     removed first. OutputError when `path` has no folder, is not a file, or is not writable; WriteError when the disk is
     full or fails.
     """
-    path = writable(path)
+    path = require_writable(path)
     try:
-        with temporary.file(path.parent) as beside:
+        with temporary.create_temporary_file(path.parent) as beside:
             yield beside
             if path.exists():
                 beside.chmod(path.stat().st_mode & 0o7777)
-            sync(beside)
+            sync_to_disk(beside)
             os.replace(beside, path)
-            sync(path.parent)
+            sync_to_disk(path.parent)
     except OSError as problem:
         ours = str(problem.filename).endswith(temporary.PART)
         failed = problem.errno in FULL or (problem.errno == errno.EIO and (ours or problem.filename is None))
@@ -43,13 +43,13 @@ def replacing(path: Path) -> Iterator[Path]:
         raise (WriteError if failed else OutputError)(text) from problem
 
 
-def writable(path: Path, folder: bool = False) -> Path:
+def require_writable(path: Path, folder: bool = False) -> Path:
     """The file of an output, behind symlinks; OutputError if it is impossible or protected.
 
     For a `folder`, which may not exist yet: whether files may be written into it.
     """
     if path.is_symlink() and (folder or path.is_file() or not path.exists()):  # /dev/stdout has no target path
-        path = _behind(path)
+        path = _resolve_symlink(path)
     if folder:
         place = next(one for one in (path, *path.absolute().parents) if one.exists())
         if not os.access(place, os.W_OK | os.X_OK):
@@ -64,7 +64,7 @@ def writable(path: Path, folder: bool = False) -> Path:
     return path
 
 
-def _behind(link: Path) -> Path:
+def _resolve_symlink(link: Path) -> Path:
     """A symlink's target; OutputError for an endless chain of links."""
     path = Path(os.path.realpath(link))
     if path.is_symlink():
@@ -84,7 +84,7 @@ def ensure_dir(path: Path) -> Path:
     return path
 
 
-def sync(path: Path) -> None:
+def sync_to_disk(path: Path) -> None:
     """Flush `path` (file or folder) to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
@@ -97,7 +97,7 @@ PATIENCE = 20.0
 """Seconds to wait for the content of a pipe: nobody may write to it."""
 
 
-def text(path: Path, most: int) -> str:
+def read_limited_text(path: Path, most: int) -> str:
     """The UTF-8 text of a file or pipe; OSError beyond `most` bytes, or when it does not end.
 
     Waits PATIENCE s for a pipe that nobody writes to.
@@ -134,7 +134,7 @@ def require_regular(path: Path) -> None:
         raise LogError(f"{path}: is a pipe or device, and the input is read twice; save it to a file first")
 
 
-def sha256(*paths: Path) -> str:
+def hash_files(*paths: Path) -> str:
     """Hex digest of files one after another; of a folder, its files in name order."""
     from hashlib import sha256
 
@@ -156,10 +156,10 @@ def iter_mapped(path: Path, size: int) -> Iterator[tuple[memoryview, Callable[[]
     for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
         with part.open("rb") as stream:
             if whole := os.fstat(stream.fileno()).st_size:
-                yield from _mapped(stream.fileno(), whole, size)
+                yield from _iterate_file_maps(stream.fileno(), whole, size)
 
 
-def _mapped(handle: int, whole: int, size: int) -> Iterator[tuple[memoryview, Callable[[], None]]]:
+def _iterate_file_maps(handle: int, whole: int, size: int) -> Iterator[tuple[memoryview, Callable[[], None]]]:
     data = mmap.mmap(handle, whole, access=mmap.ACCESS_READ)
     data.madvise(mmap.MADV_SEQUENTIAL)
     for at in range(0, whole, size):

@@ -10,33 +10,33 @@ MOST = 100_000
 _NAME = re.compile(r"(?P<base>.*)#(?P<first>\d{1,9})(?:-(?P<last>\d{1,9}))?", re.DOTALL)
 
 
-def split(path: Path) -> tuple[Path, int | None]:
+def split_episode_name(path: Path) -> tuple[Path, int | None]:
     """The dataset and episode number in a name; None if it names no single episode."""
-    base, first, last = _parsed(path)
+    base, first, last = _parse_episode_name(path)
     return (base, first) if first is not None and first == last else (path, None)
 
 
-def base(path: Path) -> Path:
+def dataset_path(path: Path) -> Path:
     """The path on disk: an episode's dataset, else the path itself."""
-    return split(path)[0]
+    return split_episode_name(path)[0]
 
 
-def named(dataset: Path, number: int) -> Path:
+def name_episode(dataset: Path, number: int) -> Path:
     """The name of one episode."""
     return Path(f"{dataset}#{number}")
 
 
-def expanded(path: Path) -> tuple[Path, ...]:
+def expand_episode_range(path: Path) -> tuple[Path, ...]:
     """The episodes of a range DATASET#A-B, in order; any other name unchanged."""
-    dataset, first, last = _parsed(path)
+    dataset, first, last = _parse_episode_name(path)
     if first is None or last is None or first == last:
         return (path,)
     if not 0 <= last - first < MOST:
         raise UsageError(f"{path}: a range runs from the smaller number, over at most {MOST} episodes, e.g. #0-9")
-    return tuple(named(dataset, number) for number in range(first, last + 1))
+    return tuple(name_episode(dataset, number) for number in range(first, last + 1))
 
 
-def _parsed(path: Path) -> tuple[Path, int | None, int | None]:
+def _parse_episode_name(path: Path) -> tuple[Path, int | None, int | None]:
     """Dataset, first and last episode; (path, None, None) for the name of a file, or without a dataset."""
     match = _NAME.fullmatch(path.name)
     if match is None or path.exists():

@@ -31,7 +31,7 @@ class Output:
         return f"{self.option} {self.path}"
 
 
-def guard(inputs: Iterable[Path], outputs: Iterable[Output]) -> None:
+def guard_outputs(inputs: Iterable[Path], outputs: Iterable[Output]) -> None:
     """UsageError when an output is an input, lies inside one or contains one, or when two outputs are the same.
 
     Paths are compared on disk (links, hard links, case, mounts), not by name. A folder as input includes its content
@@ -40,12 +40,12 @@ def guard(inputs: Iterable[Path], outputs: Iterable[Output]) -> None:
     outputs, inputs = list(outputs), list(inputs)
     for output in outputs:
         place = _Place(output)
-        for given in map(episodes.base, inputs):
-            for part in _parts(given):
+        for given in map(episodes.dataset_path, inputs):
+            for part in _input_parts(given):
                 place.refuse(part, given)
     for first in outputs:
         for second in outputs:
-            if first is not second and not first.folder and _behind(first.path) in _chain(_behind(second.path)):
+            if first is not second and not first.folder and _paths_behind(first.path) in _symlink_chain(_paths_behind(second.path)):
                 raise UsageError(f"{second} and {first} are the same; give each output its own path")
 
 
@@ -53,15 +53,15 @@ class _Place:
     """An output's location on disk."""
 
     def __init__(self, output: Output) -> None:
-        self._output, self._real = output, _behind(output.path)
-        self._key = key(self._real)
-        self._above = {found for path in _chain(self._real) if (found := key(path)) is not None}
-        self._within = set(_links(self._real)) if output.folder else set()
+        self._output, self._real = output, _paths_behind(output.path)
+        self._key = path_identity(self._real)
+        self._above = {found for path in _symlink_chain(self._real) if (found := path_identity(path)) is not None}
+        self._within = set(_folder_link_targets(self._real)) if output.folder else set()
 
     def refuse(self, part: Path, given: Path) -> None:
         """UsageError when this output is `part`, which belongs to the input `given`, or inside or around it."""
-        found = key(part)
-        real = _behind(part) if found is None or part is given or part.is_symlink() else None
+        found = path_identity(part)
+        real = _paths_behind(part) if found is None or part is given or part.is_symlink() else None
         if real == self._real or (found is not None and found == self._key):
             relation = "is also an input" if part is given else f"is {part.name} of an input"
             raise UsageError(f"{self._output} {relation} ({given}); choose another name")
@@ -69,12 +69,12 @@ class _Place:
             return
         if found in self._above:
             raise UsageError(f"{self._output} lies inside an input ({given}); choose a place outside of it")
-        around = self._key is not None and real is not None and self._key in map(key, real.parents)
+        around = self._key is not None and real is not None and self._key in map(path_identity, real.parents)
         if around or found in self._within:
             raise UsageError(f"{self._output} holds an input ({given}); choose another folder")
 
 
-def key(path: Path) -> Key | None:
+def path_identity(path: Path) -> Key | None:
     """Identity of a path's target; None if it does not exist."""
     try:
         found = os.stat(path)
@@ -83,40 +83,40 @@ def key(path: Path) -> Key | None:
     return found.st_dev, found.st_ino
 
 
-def _behind(path: Path) -> Path:
+def _paths_behind(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def _chain(path: Path) -> tuple[Path, ...]:
+def _symlink_chain(path: Path) -> tuple[Path, ...]:
     return path, *path.parents
 
 
-def _links(folder: Path) -> Iterator[Key]:
+def _folder_link_targets(folder: Path) -> Iterator[Key]:
     """Targets of the names in a folder: an output may be a link, or one of several names of a file."""
     try:
         names = list(folder.iterdir())
     except OSError:
         return
-    yield from (found for name in names if (found := key(name)) is not None)
+    yield from (found for name in names if (found := path_identity(name)) is not None)
 
 
-def _parts(given: Path) -> Iterator[Path]:
+def _input_parts(given: Path) -> Iterator[Path]:
     """An input, and everything that is read with it."""
     yield given
     if given.is_dir():
-        yield from _inside(given)
+        yield from _walk_folder(given)
         return
     yield from (given.with_name(given.name + end) for end in BESIDE if given.suffix == ".db3")
-    for folder in {given.parent, _behind(given).parent}:
+    for folder in {given.parent, _paths_behind(given).parent}:
         if given.name.endswith(RECORDED) and (folder / METADATA).is_file():
             yield from (path for path in folder.iterdir() if path.name == METADATA or path.name.endswith(RECORDED))
 
 
-def _inside(folder: Path) -> Iterator[Path]:
+def _walk_folder(folder: Path) -> Iterator[Path]:
     """Everything in a folder, links followed; each folder once."""
     seen, left = set[Key | None]((None,)), [folder]
     while left:
-        found = key(path := left.pop())
+        found = path_identity(path := left.pop())
         if found in seen:
             continue
         seen.add(found)

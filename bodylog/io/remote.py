@@ -33,19 +33,19 @@ def is_url(text: str) -> bool:
     return bool(colon) and scheme.isalnum()
 
 
-def expand(url: str, suffixes: tuple[str, ...], wait_s: float = WAIT_S) -> tuple[str, ...]:
+def expand_url(url: str, suffixes: tuple[str, ...], wait_s: float = WAIT_S) -> tuple[str, ...]:
     """The URLs of logs under a URL: itself, or the matches of its pattern or folder; LogError without any."""
     with _store_errors(url, wait_s):
-        store, path = _store(url, wait_s)
+        store, path = _open_remote_store(url, wait_s)
         if _is_web(url):
             if not any(sign in path for sign in "*[") and not store.isdir(path):
                 return (url,)
-            found = [entry for entry in _linked(store, path, wait_s) if entry.endswith(suffixes)]
+            found = [entry for entry in _linked_files(store, path, wait_s) if entry.endswith(suffixes)]
         elif any(sign in path for sign in "*["):
-            listed = _answer(lambda: store.glob(path), _PAGES_S * wait_s)
+            listed = _wait_for_answer(lambda: store.glob(path), _PAGES_S * wait_s)
             found = [entry for entry in listed if entry.endswith(suffixes)]
-        elif _answer(lambda: store.isdir(path) and not store.isfile(path), wait_s):
-            listed = _answer(lambda: store.find(path), _PAGES_S * wait_s)
+        elif _wait_for_answer(lambda: store.isdir(path) and not store.isfile(path), wait_s):
+            listed = _wait_for_answer(lambda: store.find(path), _PAGES_S * wait_s)
             found = [entry for entry in listed if entry.endswith(suffixes)]
         else:
             return (url,)
@@ -67,7 +67,7 @@ def _is_web(url: str) -> bool:
     return url.partition("://")[0].lower() in _WEB
 
 
-def _linked(store: Any, top: str, wait_s: float) -> list[str]:
+def _linked_files(store: Any, top: str, wait_s: float) -> list[str]:
     """The files that the pages below an address link to, or that match its pattern; LogError if there is no end."""
     import time
 
@@ -98,14 +98,14 @@ def file_behind(url: str) -> Path | None:
     if url.partition("://")[0].lower() not in ("file", "local"):
         return None
     with _store_errors(url, WAIT_S):
-        return Path(_store(url, WAIT_S)[1])
+        return Path(_open_remote_store(url, WAIT_S)[1])
 
 
-def size(url: str, wait_s: float = WAIT_S) -> int:
+def remote_size_bytes(url: str, wait_s: float = WAIT_S) -> int:
     """Bytes behind a URL, 0 for a folder; LogError if unknown, impossible or unreachable."""
     with _store_errors(url, wait_s):
-        store, path = _store(url, wait_s)
-        details = _answer(lambda: store.info(path), wait_s)
+        store, path = _open_remote_store(url, wait_s)
+        details = _wait_for_answer(lambda: store.info(path), wait_s)
     if _is_folder(details):
         return 0
     found = details.get("size")
@@ -116,11 +116,11 @@ def size(url: str, wait_s: float = WAIT_S) -> int:
     return int(found)
 
 
-def identity(url: str, wait_s: float = WAIT_S) -> str:
+def remote_identity(url: str, wait_s: float = WAIT_S) -> str:
     """A digest of a remote file's metadata (size and tag or date): it changes with the file."""
     with _store_errors(url, wait_s):
-        store, path = _store(url, wait_s)
-        details = _answer(lambda: store.info(path), wait_s)
+        store, path = _open_remote_store(url, wait_s)
+        details = _wait_for_answer(lambda: store.info(path), wait_s)
     telling = ("size", "ETag", "etag", "mtime", "LastModified", "last_modified", "created", "md5", "sha256")
     from hashlib import sha256
 
@@ -130,28 +130,28 @@ def identity(url: str, wait_s: float = WAIT_S) -> str:
 def read_range(url: str, start: int, end: int, wait_s: float = WAIT_S) -> bytes:
     """The bytes of a file from `start` to before `end`, or fewer; LogError where a web server does not send a range."""
     with _store_errors(url, wait_s):
-        store, path = _store(url, wait_s)
+        store, path = _open_remote_store(url, wait_s)
         if not _is_web(url):
             patience = wait_s + (end - start) / _SLOWEST
-            return bytes(_answer(lambda: store.cat_file(path, start=start, end=end), patience))
+            return bytes(_wait_for_answer(lambda: store.cat_file(path, start=start, end=end), patience))
         found = bytearray()
-        if not _send(store, path, (start, end), wait_s, found.extend):
+        if not _stream_web_file(store, path, (start, end), wait_s, found.extend):
             raise LogError(f"{url}: its server does not send parts of files; download it and give the file")
         return bytes(found)
 
 
-def begin(url: str, count: int, wait_s: float = WAIT_S) -> tuple[bytes, bool]:
+def read_first_bytes(url: str, count: int, wait_s: float = WAIT_S) -> tuple[bytes, bool]:
     """The first `count` bytes of a file, and whether its server sends parts of files."""
     if not _is_web(url):
         return read_range(url, 0, count, wait_s), True
     with _store_errors(url, wait_s):
-        store, path = _store(url, wait_s)
+        store, path = _open_remote_store(url, wait_s)
         found = bytearray()
-        in_parts = _send(store, path, (0, count), wait_s, found.extend, whole=True)
+        in_parts = _stream_web_file(store, path, (0, count), wait_s, found.extend, whole=True)
         return bytes(found[:count]), in_parts
 
 
-def _send(
+def _stream_web_file(
     store: Any, url: str, part: tuple[int, int], wait_s: float, take: Callable[[bytes], object], whole: bool = False
 ) -> bool:
     """Give the bytes of a web server's file to `take`, as many as asked for at most; whether they are that part.
@@ -186,15 +186,15 @@ def _send(
 
 
 @contextmanager
-def local(source: str, folder: Path, wait_s: float = WAIT_S) -> Iterator[Path]:
+def local_copy(source: str, folder: Path, wait_s: float = WAIT_S) -> Iterator[Path]:
     """A local path for a file or folder: its own, or for a URL a copy in `folder` that is removed afterwards."""
     if not is_url(source):
         yield Path(source)
         return
-    with temporary.scratch(atomic_files.ensure_dir(folder)) as beside:
+    with temporary.create_scratch_folder(atomic_files.ensure_dir(folder)) as beside:
         path = beside / name_of(source)
         with errors_about(path, source):
-            yield _fetch(source, path, wait_s)
+            yield _fetch_to_path(source, path, wait_s)
 
 
 @contextmanager
@@ -211,13 +211,13 @@ def _is_folder(details: Mapping[str, Any]) -> bool:
     return details.get("type") == "directory" or details.get("mimetype") == "text/html"
 
 
-def _fetch(url: str, path: Path, wait_s: float) -> Path:
+def _fetch_to_path(url: str, path: Path, wait_s: float) -> Path:
     """Copy a file, or the log files of a folder (rosbag2), to `path`."""
     with _store_errors(url, wait_s):
-        store, remote = _store(url, wait_s)
-        if not _is_folder(_answer(lambda: store.info(remote), wait_s)):
+        store, remote = _open_remote_store(url, wait_s)
+        if not _is_folder(_wait_for_answer(lambda: store.info(remote), wait_s)):
             return _fetch_file(url, path, wait_s)
-        listed = _answer(lambda: store.ls(remote, detail=False), _PAGES_S * wait_s)
+        listed = _wait_for_answer(lambda: store.ls(remote, detail=False), _PAGES_S * wait_s)
         entries = sorted(store.unstrip_protocol(entry) for entry in listed)
     inside = [entry for entry in entries if entry.rpartition("/")[0] == url.rstrip("/")]
     wanted = [entry for entry in inside if entry.endswith((*RECORDED, f"/{METADATA}"))]
@@ -232,25 +232,25 @@ def _fetch(url: str, path: Path, wait_s: float) -> Path:
 def _fetch_file(url: str, path: Path, wait_s: float) -> Path:
     import shutil
 
-    wanted = size(url, wait_s)
+    wanted = remote_size_bytes(url, wait_s)
     free = shutil.disk_usage(path.parent).free - _MARGIN
     if wanted > free:
         raise LogError(f"{url}: {wanted} bytes, where {free} are free in {path.parent}; give a folder with more room")
     with _store_errors(url, wait_s), path.open("wb") as target:
-        store, remote = _store(url, wait_s)
+        store, remote = _open_remote_store(url, wait_s)
         if not _is_web(url):
             how = {"block_size": _BLOCK, "cache_type": "readahead"}
-            with _answer(lambda: store.open(remote, "rb", **how), wait_s) as source:
-                while piece := _answer(lambda: source.read(_BLOCK), wait_s + _BLOCK / _SLOWEST):
+            with _wait_for_answer(lambda: store.open(remote, "rb", **how), wait_s) as source:
+                while piece := _wait_for_answer(lambda: source.read(_BLOCK), wait_s + _BLOCK / _SLOWEST):
                     target.write(piece)
         elif wanted:
-            _send(store, remote, (0, wanted), wait_s, target.write, whole=True)
+            _stream_web_file(store, remote, (0, wanted), wait_s, target.write, whole=True)
     if path.stat().st_size != wanted:
         raise LogError(f"{url}: {path.stat().st_size} bytes arrived, {wanted} were announced; try again")
     return path
 
 
-def _answer(call: Callable[[], T], wait_s: float) -> T:
+def _wait_for_answer(call: Callable[[], T], wait_s: float) -> T:
     """What a store answers; TimeoutError where it takes more than `wait_s`.
 
     Stores other than web servers know no common limit: one that does not answer is left behind in its thread.
@@ -278,7 +278,7 @@ def _answer(call: Callable[[], T], wait_s: float) -> T:
     return found
 
 
-def _store(url: str, wait_s: float) -> tuple[Any, str]:
+def _open_remote_store(url: str, wait_s: float) -> tuple[Any, str]:
     try:
         import fsspec
     except ImportError as err:

@@ -24,24 +24,24 @@ _registry = _thread.allocate_lock()
 
 
 @contextmanager
-def file(folder: Path) -> Iterator[Path]:
+def create_temporary_file(folder: Path) -> Iterator[Path]:
     """An empty, locked file in `folder`, removed at the end if it exists; removes killed runs' left-overs first."""
     remove_stale(folder, f".*{PART}")
-    with _claimed(lambda token: folder / f".{token}{PART}", _make_file) as path:
+    with _create_and_lock(lambda token: folder / f".{token}{PART}", _make_file) as path:
         yield path
 
 
 @contextmanager
-def scratch(folder: Path | None = None) -> Iterator[Path]:
+def create_scratch_folder(folder: Path | None = None) -> Iterator[Path]:
     """An empty, locked folder in `folder` or the default place; removed at the end with its content."""
     if folder is None:
-        folder = _scratches()
+        folder = _scratch_parent()
         remove_killed()
         name: Callable[[str], str] = f"{SCRATCH}{{}}".format
     else:
         remove_stale(folder, f".*{PART}")
         name = f".{{}}{PART}".format
-    with _claimed(lambda token: folder / name(token), _make_folder) as path:
+    with _create_and_lock(lambda token: folder / name(token), _make_folder) as path:
         yield path
 
 
@@ -49,15 +49,15 @@ def remove_stale(folder: Path, pattern: str) -> None:
     """Remove this user's files and folders of that pattern that no process holds, here or on another machine."""
     for left in folder.glob(pattern):
         with suppress(OSError), try_lock(left) as ours:
-            if ours and _ours(left):
-                _remove(left)
+            if ours and _is_own_temporary(left):
+                _remove_path(left)
 
 
 def remove_killed(*folders: Path) -> None:
     """Remove left-overs of killed processes: half-written files in `folders`, and scratch folders."""
     for folder in folders:
         remove_stale(folder, f".*{PART}")
-    remove_stale(_scratches(), f"{SCRATCH}{'[0-9a-f]' * 8}-{'[0-9a-f]' * 16}")  # users may have folders of this name
+    remove_stale(_scratch_parent(), f"{SCRATCH}{'[0-9a-f]' * 8}-{'[0-9a-f]' * 16}")  # users may have folders of this name
 
 
 @contextmanager
@@ -70,16 +70,16 @@ def try_lock(path: Path) -> Iterator[bool]:
         os.close(handle)
 
 
-def sweep() -> None:
+def remove_temporary_files() -> None:
     """Remove everything temporary of this process, which is ending: nothing more can be created."""
     _registry.acquire(timeout=0.2)  # never released
     for path in tuple(_live):
         with suppress(OSError):
-            _remove(path)
+            _remove_path(path)
 
 
 @cache
-def machine() -> str:
+def machine_id() -> str:
     """Eight hex digits that identify the kernel, and so all processes and containers whose locks are visible here."""
     with suppress(OSError):
         return _BOOT.read_text()[:8]
@@ -90,10 +90,10 @@ def machine() -> str:
 
 
 @contextmanager
-def _claimed(name: Callable[[str], Path], make: Callable[[Path], int | None]) -> Iterator[Path]:
-    """Create and lock something before anyone can mistake it for a left-over; registered for `sweep` before."""
+def _create_and_lock(name: Callable[[str], Path], make: Callable[[Path], int | None]) -> Iterator[Path]:
+    """Create and lock something before anyone can mistake it for a left-over; registered for `remove_temporary_files` before."""
     while True:
-        path = name(f"{machine()}-{os.urandom(8).hex()}")
+        path = name(f"{machine_id()}-{os.urandom(8).hex()}")
         with _registry:
             _live.add(path)
         try:
@@ -102,7 +102,7 @@ def _claimed(name: Callable[[str], Path], make: Callable[[Path], int | None]) ->
                 continue
             try:
                 lock_handle(handle, wait=True)
-                if not _same(path, handle):
+                if not _is_same_file(path, handle):
                     continue
                 yield path
                 return
@@ -110,11 +110,11 @@ def _claimed(name: Callable[[str], Path], make: Callable[[Path], int | None]) ->
                 os.close(handle)
         finally:
             with suppress(OSError):
-                _remove(path)
+                _remove_path(path)
             _live.discard(path)
 
 
-def _scratches() -> Path:
+def _scratch_parent() -> Path:
     """The parent of scratch folders."""
     from tempfile import gettempdir
 
@@ -133,16 +133,16 @@ def _make_file(path: Path) -> int:
     return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
 
 
-def _same(path: Path, handle: int) -> bool:
+def _is_same_file(path: Path, handle: int) -> bool:
     try:
         return path.stat().st_ino == os.fstat(handle).st_ino
     except FileNotFoundError:
         return False
 
 
-def _ours(path: Path) -> bool:
+def _is_own_temporary(path: Path) -> bool:
     found = path.lstat()
-    here = machine() in path.name or time.time() - found.st_mtime > FOREIGN_S
+    here = machine_id() in path.name or time.time() - found.st_mtime > FOREIGN_S
     return here and found.st_uid == _user()
 
 
@@ -151,7 +151,7 @@ def _user() -> int:
     return os.geteuid() if hasattr(os, "geteuid") else 0
 
 
-def _remove(path: Path) -> None:
+def _remove_path(path: Path) -> None:
     """Remove without further imports, which would wait for a thread that is importing."""
     if path.is_dir() and not path.is_symlink():
         for base, folders, files in os.walk(path, topdown=False):
@@ -162,4 +162,4 @@ def _remove(path: Path) -> None:
         path.unlink()
 
 
-signals.at_end.append(sweep)
+signals.at_end.append(remove_temporary_files)

@@ -27,7 +27,7 @@ def with_text_paths(function: Callable[..., R]) -> Callable[..., R]:
             if name in single:
                 given.arguments[name] = Path(value) if isinstance(value, str) else value
             elif name in several:
-                given.arguments[name] = _paths(value)
+                given.arguments[name] = _as_path_list(value)
             elif name in named and isinstance(value, Mapping):
                 given.arguments[name] = {key: Path(path) for key, path in value.items()}
         return function(*given.args, **given.kwargs)
@@ -35,7 +35,7 @@ def with_text_paths(function: Callable[..., R]) -> Callable[..., R]:
     return converting
 
 
-def _paths(value: Any) -> Sequence[Path]:
+def _as_path_list(value: Any) -> Sequence[Path]:
     """One path or several, as a list."""
     each = [value] if isinstance(value, str | Path) else value
     return [Path(one) if isinstance(one, str) else one for one in each]

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError
-from .atomic_files import text
+from .atomic_files import read_limited_text
 
 MOST_BYTES = 4 << 20
 DEEPEST = 32
@@ -15,12 +15,12 @@ LARGEST = 2**63 - 1
 _TOKEN = re.compile(r"""(?s)[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"?|'[^'\n]*+'?|\.|[ \t]++|.""")
 
 
-def read(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
     """The content of a TOML file or pipe; ConfigError if it is unreadable, invalid or beyond the limits."""
     import tomllib
 
     try:
-        content = text(path, MOST_BYTES)
+        content = read_limited_text(path, MOST_BYTES)
     except (OSError, UnicodeDecodeError) as err:
         why = err.strerror if isinstance(err, OSError) else err
         raise ConfigError(f"{path}: cannot be read as TOML ({why}); give a file like that of: bodylog config") from err
@@ -32,7 +32,7 @@ def read(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: cannot be read as TOML: its tables or lists are too deep") from None
     except ValueError as err:  # covers TOMLDecodeError and numbers of too many digits
         raise ConfigError(f"{path}: cannot be read as TOML: {err}") from err
-    _check(found, str(path), 0)
+    _check_toml_value(found, str(path), 0)
     return found
 
 
@@ -54,23 +54,23 @@ def _longest_key(content: str) -> int:
     return longest
 
 
-def _check(value: Any, where: str, depth: int) -> None:
+def _check_toml_value(value: Any, where: str, depth: int) -> None:
     if depth > DEEPEST:
         raise ConfigError(f"{where}: tables and lists are more than {DEEPEST} deep")
     if isinstance(value, dict):
         for key, inner in value.items():
-            _check(key, where, depth)
-            _check(inner, where, depth + 1)
+            _check_toml_value(key, where, depth)
+            _check_toml_value(inner, where, depth + 1)
     elif isinstance(value, list):
         for inner in value:
-            _check(inner, where, depth + 1)
+            _check_toml_value(inner, where, depth + 1)
     elif isinstance(value, str) and "\0" in value:
         raise ConfigError(f"{where}: {value[:40]!r} holds the character 0, which no name can")
     elif isinstance(value, int) and abs(value) > LARGEST:
         raise ConfigError(f"{where}: a whole number is beyond 64 bits")
 
 
-def shown(value: Any) -> str:
+def shorten_value(value: Any) -> str:
     """A value for a message, shortened if long."""
     text = repr(value)
     return text if len(text) <= 200 else f"{text[:200]}…"

@@ -9,7 +9,7 @@ from dataclasses import MISSING, field, fields
 from typing import Any, NamedTuple
 
 from ..errors import ConfigError
-from .toml_file import shown
+from .toml_file import shorten_value
 
 
 class Key(NamedTuple):
@@ -32,7 +32,7 @@ class Key(NamedTuple):
     form: str = ""
 
 
-class Declared(NamedTuple):
+class DeclaredKey(NamedTuple):
     """A key of a table: its field's name and type, its description and its default."""
 
     field: str
@@ -41,7 +41,7 @@ class Declared(NamedTuple):
     default: Any
 
 
-def key(default: Any, meaning: str, **more: Any) -> Any:
+def declare_key(default: Any, meaning: str, **more: Any) -> Any:
     """Declare a dataclass field that is a key of a TOML table; `more` are fields of `Key`."""
     metadata = {"key": Key(meaning, **more)}
     if isinstance(default, dict):
@@ -49,28 +49,28 @@ def key(default: Any, meaning: str, **more: Any) -> Any:
     return field(default=default, metadata=metadata)
 
 
-def spell(field_name: str) -> str:
+def spell_key(field_name: str) -> str:
     """A field's key in TOML: a field named like a keyword of Python ends in _."""
     return field_name.rstrip("_")
 
 
-def declared(table: type) -> Mapping[str, Declared]:
+def declared_keys(table: type) -> Mapping[str, DeclaredKey]:
     """The keys of a table by their names in TOML."""
     hints = typing.get_type_hints(table)
     return {
-        spell(f.name): Declared(f.name, hints[f.name], f.metadata["key"], default)
+        spell_key(f.name): DeclaredKey(f.name, hints[f.name], f.metadata["key"], default)
         for f in fields(table)
         for default in [f.default if f.default_factory is MISSING else f.default_factory()]
     }
 
 
-def checked(table: type, values: Mapping[str, Any], where: str, section: str) -> dict[str, Any]:
+def check_values(table: type, values: Mapping[str, Any], where: str, section: str) -> dict[str, Any]:
     """The given values by field, as the fields' types; ConfigError for an unknown, impossible or missing one."""
-    known, found = declared(table), {}
+    known, found = declared_keys(table), {}
     for name, value in values.items():
         label = f"{section}.{name}" if section else name
         require_known(name, list(known), where, f"key {label}")
-        found[known[name].field] = _checked(known[name], value, f"{where}: {label}")
+        found[known[name].field] = _check_key_value(known[name], value, f"{where}: {label}")
     required = [name for name, one in known.items() if one.default is MISSING]
     if missing := [name for name in required if name not in values]:
         of = f"{where}: {section}" if section else where
@@ -81,24 +81,24 @@ def checked(table: type, values: Mapping[str, Any], where: str, section: str) ->
 def require_known(name: str, known: list[str], where: str, label: str) -> None:
     """ConfigError that names the nearest known name unless the name is known."""
     if name not in known:
-        near = nearest(name, known)
+        near = find_nearest_name(name, known)
         raise ConfigError(f"{where}: unknown {label[:200]}; did you mean {near}? possible: {', '.join(known)}")
 
 
-def nearest(name: str, known: Sequence[str]) -> str:
+def find_nearest_name(name: str, known: Sequence[str]) -> str:
     """The known name most like a name."""
     import difflib
 
     return difflib.get_close_matches(name[:99], known, 1, 0.0)[0]
 
 
-def possible(about: Declared) -> str:
+def describe_possible_values(about: DeclaredKey) -> str:
     """The values that a key takes, in words."""
-    options = [option for option in _options(about.hint) if option is not types.NoneType]
-    return about.key.form or ", or ".join(_words(option, about.key) for option in options)
+    options = [option for option in _type_options(about.hint) if option is not types.NoneType]
+    return about.key.form or ", or ".join(_describe_type_values(option, about.key) for option in options)
 
 
-def default_text(about: Declared) -> str:
+def default_text(about: DeclaredKey) -> str:
     """The default of a key, in words or as in TOML."""
     if about.default is MISSING:
         return "required"
@@ -124,25 +124,25 @@ def toml_value(value: Any) -> str:
 _MISFIT = object()
 
 
-def _checked(about: Declared, value: Any, label: str) -> Any:
+def _check_key_value(about: DeclaredKey, value: Any, label: str) -> Any:
     fitted = _first_fit(value, about.hint)
-    if fitted is _MISFIT or not (fitted is None or _possible(about.key, fitted)):
-        raise ConfigError(f"{label} is {shown(value)}; possible: {possible(about)}; {_advice(about, value)}")
+    if fitted is _MISFIT or not (fitted is None or _is_possible_value(about.key, fitted)):
+        raise ConfigError(f"{label} is {shorten_value(value)}; possible: {describe_possible_values(about)}; {_advise_on_value(about, value)}")
     return fitted
 
 
-def _advice(about: Declared, value: Any) -> str:
+def _advise_on_value(about: DeclaredKey, value: Any) -> str:
     """What to type instead of an impossible value."""
     choices = about.key.choices
     if isinstance(value, str) and choices:
-        return f"did you mean {nearest(value, choices)}?"
+        return f"did you mean {find_nearest_name(value, choices)}?"
     default = default_text(about)
     if about.default is MISSING:
         return "it is required"
-    return f"leave it out for: {default}" if default == about.key.unset else f"type: {spell(about.field)} = {default}"
+    return f"leave it out for: {default}" if default == about.key.unset else f"type: {spell_key(about.field)} = {default}"
 
 
-def _possible(key: Key, value: Any) -> bool:
+def _is_possible_value(key: Key, value: Any) -> bool:
     """Whether a value of the right type is one that the key takes."""
     items = value.values() if isinstance(value, Mapping) else value if isinstance(value, tuple) else (value,)
     numbers = [one for one in items if isinstance(one, int | float)]
@@ -155,15 +155,15 @@ def _possible(key: Key, value: Any) -> bool:
     return all(one in key.choices if key.choices else one for one in items if isinstance(one, str))
 
 
-def _options(hint: Any) -> tuple[Any, ...]:
+def _type_options(hint: Any) -> tuple[Any, ...]:
     return typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
 
 
 def _first_fit(value: Any, hint: Any) -> Any:
-    return next((fitted for one in _options(hint) if (fitted := _fit(value, one)) is not _MISFIT), _MISFIT)
+    return next((fitted for one in _type_options(hint) if (fitted := _convert_to_type(value, one)) is not _MISFIT), _MISFIT)
 
 
-def _fit(value: Any, option: Any) -> Any:
+def _convert_to_type(value: Any, option: Any) -> Any:
     """The value as the type: lists become tuples, whole numbers become floats where floats are meant."""
     origin = typing.get_origin(option)
     if option is types.NoneType:
@@ -185,7 +185,7 @@ def _fit_tuple(value: Any, option: Any) -> Any:
     kinds = (kinds[0],) * len(value) if kinds[-1] is Ellipsis else kinds
     if len(kinds) != len(value):
         return _MISFIT
-    fitted = tuple(_fit(one, kind) for one, kind in zip(value, kinds, strict=True))
+    fitted = tuple(_convert_to_type(one, kind) for one, kind in zip(value, kinds, strict=True))
     return _MISFIT if _MISFIT in fitted else fitted
 
 
@@ -196,15 +196,15 @@ def _fit_mapping(value: Any, hint: Any) -> Any:
     return _MISFIT if any(one is _MISFIT for one in fitted.values()) else fitted
 
 
-def _words(option: Any, key: Key) -> str:
+def _describe_type_values(option: Any, key: Key) -> str:
     """Values of one type, in words."""
     origin = typing.get_origin(option)
     if origin is tuple:
-        item = f"any of {', '.join(key.choices)}" if key.choices else _words(typing.get_args(option)[0], key)
+        item = f"any of {', '.join(key.choices)}" if key.choices else _describe_type_values(typing.get_args(option)[0], key)
         return f"[{item}, …]{' without repeats' * key.distinct}"
     if origin is not None:
         value = typing.get_args(option)[1]
-        return "table" if value is Any else f"{{NAME = {' or '.join(_words(one, key) for one in _options(value))}}}"
+        return "table" if value is Any else f"{{NAME = {' or '.join(_describe_type_values(one, key) for one in _type_options(value))}}}"
     if option in (int, float):
         bounds = "" if math.isinf(key.low) else f" from {key.low:g} to {key.high:g}"
         return f"{'whole ' * (option is int)}number{bounds}{' ' * bool(key.unit)}{key.unit}"

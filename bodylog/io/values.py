@@ -15,7 +15,7 @@ DEEPEST = 64
 _WIDEST = 1 << 63
 
 
-def times(ns: NDArray[Any]) -> NDArray[np.int64]:
+def log_times_ns(ns: NDArray[Any]) -> NDArray[np.int64]:
     """Log times (n,) as int64 ns; times below 0 or beyond LATEST_NS become 0, which means unset.
 
     uint64 times may come as the int64 of the same bits.
@@ -31,7 +31,7 @@ def is_time(ns: int) -> bool:
     return 0 <= ns <= LATEST_NS
 
 
-def nanoseconds(seconds: float | str, rest: float | str) -> int:
+def stamp_ns(seconds: float | str, rest: float | str) -> int:
     """A stamp of seconds and nanoseconds in ns; 0 if it is not finite or beyond LATEST_NS."""
     try:
         found = int(seconds) * 1_000_000_000 + int(rest)
@@ -40,7 +40,7 @@ def nanoseconds(seconds: float | str, rest: float | str) -> int:
     return found if abs(found) <= LATEST_NS else 0
 
 
-def number(value: float) -> float:
+def number_in_64_bits(value: float) -> float:
     """A number in 64 bits: larger integers as floats, NaN if those overflow too."""
     if not isinstance(value, int) or -_WIDEST <= value < _WIDEST:
         return value
@@ -50,7 +50,7 @@ def number(value: float) -> float:
         return float("nan")
 
 
-def text(value: str) -> str:
+def encodable_text(value: str) -> str:
     """A text that can be encoded as UTF-8: lone surrogates become escapes."""
     return value if value.isascii() else value.encode(errors="backslashreplace").decode()
 

@@ -10,7 +10,7 @@ MOST_VALUES = 100_000
 """Values of a MB of text: the parser is Python, and takes up to 0.2 ms for each."""
 
 
-def read(text: str, most: int = MOST_VALUES) -> Any:
+def parse_yaml_text(text: str, most: int = MOST_VALUES) -> Any:
     """The value of a YAML text; ValueError if it is invalid, too deep, or has aliases or keys that are no scalars.
 
     `most`: values and keys that are read; ValueError where there are more.

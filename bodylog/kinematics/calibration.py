@@ -60,62 +60,62 @@ class Calibrated:
     evidence: float
 
 
-def residuals(rig: Rig, theta: Array, data: Sequence[Sighted]) -> list[Array]:
+def image_residuals(rig: Rig, theta: Array, data: Sequence[Sighted]) -> list[Array]:
     """Measured minus predicted (N,C,2) px of each sight; NaN where unseen."""
     return [one.image - rig.see(sight, theta, one.q).image for sight, one in zip(rig.sights, data, strict=True)]
 
 
-def calibrate(rig: Rig, data: Sequence[Sighted], starts: Sequence[Array]) -> Calibrated:
+def calibrate_rig(rig: Rig, data: Sequence[Sighted], starts: Sequence[Array]) -> Calibrated:
     """Estimate θ from the best of several starts, with ever finer robust losses."""
-    sparse, few = thinned(rig, data, _COARSE)
-    loss = _arsinh(50.0)
-    coarse = [descend(sparse, few, start, loss, 1.0, _SCOUT) for start in starts]
+    sparse, few = thin_sightings(rig, data, _COARSE)
+    loss = _arsinh_loss(50.0)
+    coarse = [descend_robustly(sparse, few, start, loss, 1.0, _SCOUT) for start in starts]
     coarse.sort(key=lambda found: found[1])
-    coarse = [descend(sparse, few, found[0], loss, 1.0) for found in coarse[:_FINALISTS]]
+    coarse = [descend_robustly(sparse, few, found[0], loss, 1.0) for found in coarse[:_FINALISTS]]
     best = min(coarse, key=lambda found: found[1])[0]
     for scale in (10.0, 3.0):
-        best = descend(sparse, few, best, _soft(scale), 1.0)[0]
-    return refine(rig, data, best)
+        best = descend_robustly(sparse, few, best, _soft_l1_loss(scale), 1.0)[0]
+    return refine_calibration(rig, data, best)
 
 
-def scout(rig: Rig, data: Sequence[Sighted], start: Array) -> float:
+def scout_start(rig: Rig, data: Sequence[Sighted], start: Array) -> float:
     """Return the coarse loss after a short descent from one start."""
-    sparse, few = thinned(rig, data, _COARSE)
-    return descend(sparse, few, start, _arsinh(50.0), 1.0, _SCOUT)[1]
+    sparse, few = thin_sightings(rig, data, _COARSE)
+    return descend_robustly(sparse, few, start, _arsinh_loss(50.0), 1.0, _SCOUT)[1]
 
 
-def thinned(rig: Rig, data: Sequence[Sighted], count: int) -> tuple[Rig, list[Sighted]]:
+def thin_sightings(rig: Rig, data: Sequence[Sighted], count: int) -> tuple[Rig, list[Sighted]]:
     """Keep at most `count` frames of each sight and _POINTS of its points, evenly spaced; θ keeps its meaning."""
     sights, few = [], []
     for sight, one in zip(rig.sights, data, strict=True):
-        rows, points = _spaced(len(one.q), count), _spaced(len(sight.points), _POINTS)
+        rows, points = _evenly_spaced(len(one.q), count), _evenly_spaced(len(sight.points), _POINTS)
         sights.append(replace(sight, points=sight.points[points]))
         few.append(Sighted(one.q[rows], one.image[rows][:, points], one.variance[rows][:, points]))
     return replace(rig, sights=tuple(sights)), few
 
 
-def _spaced(total: int, count: int) -> Array:
+def _evenly_spaced(total: int, count: int) -> Array:
     return np.unique(np.linspace(0, total - 1, min(total, count)).round().astype(int))
 
 
-def refine(rig: Rig, data: Sequence[Sighted], theta: Array, rounds: int = 8) -> Calibrated:
+def refine_calibration(rig: Rig, data: Sequence[Sighted], theta: Array, rounds: int = 8) -> Calibrated:
     """From near the solution, alternate θ, noise and weights of false sightings until the noise settles."""
-    noise, before = _scale(rig, theta, data), np.inf
+    noise, before = _variance_from_median(rig, theta, data), np.inf
     for _ in range(rounds):
         weigh = mixture(noise)
-        theta, _ = descend(rig, data, theta, weigh, noise)
-        noise = _noise(rig, theta, data, weigh)
+        theta, _ = descend_robustly(rig, data, theta, weigh, noise)
+        noise = _variance_of_true_sightings(rig, theta, data, weigh)
         if abs(noise - before) < 0.01 * noise:
             break
         before = noise
-    return _finished(rig, data, theta, noise)
+    return _finish_calibration(rig, data, theta, noise)
 
 
 Loss = Callable[[Array], tuple[Array, Array]]
 """From squared residuals over their variance (…,): the loss of each (2 × nats) and its derivative, the weight."""
 
 
-def _soft(scale: float) -> Loss:
+def _soft_l1_loss(scale: float) -> Loss:
     """Soft-L1 loss with its knee at `scale` px."""
 
     def loss(square: Array) -> tuple[Array, Array]:
@@ -125,7 +125,7 @@ def _soft(scale: float) -> Loss:
     return loss
 
 
-def _arsinh(scale: float) -> Loss:
+def _arsinh_loss(scale: float) -> Loss:
     """arsinh² loss with its knee at `scale` px: outliers lose influence with distance."""
 
     def loss(square: Array) -> tuple[Array, Array]:
@@ -148,16 +148,16 @@ def mixture(noise: float) -> Loss:
     return loss
 
 
-def descend(
+def descend_robustly(
     rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: float, steps: int = STEPS
 ) -> tuple[Array, float]:
     """θ (P,) of least loss from a start, and that loss; Levenberg-Marquardt with weights renewed at each step."""
-    damping, found = 1e-3, _normal(rig, data, theta, loss, noise)
+    damping, found = 1e-3, _normal_equations(rig, data, theta, loss, noise)
     std = rig.prior[1]
     for _ in range(steps):
         scaled = found.matrix * std * std[:, None]
-        step = std * _solve(scaled + damping * np.diag(np.diag(scaled)), found.pull * std)
-        after = _normal(rig, data, theta + step, loss, noise)
+        step = std * _solve_or_least_squares(scaled + damping * np.diag(np.diag(scaled)), found.pull * std)
+        after = _normal_equations(rig, data, theta + step, loss, noise)
         if not after.value < found.value:
             damping *= 6.0
             if damping > _STUCK:
@@ -170,7 +170,7 @@ def descend(
     return theta, found.value
 
 
-def _solve(matrix: Array, right: Array) -> Array:
+def _solve_or_least_squares(matrix: Array, right: Array) -> Array:
     try:
         return np.asarray(np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:
@@ -186,7 +186,7 @@ class _Normal:
     value: float
 
 
-def _normal(rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: float) -> _Normal:
+def _normal_equations(rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: float) -> _Normal:
     mean, std = rig.prior
     matrix, pull = np.diag(std**-2.0), (mean - theta) / std**2
     value = float(np.square((theta - mean) / std).sum())
@@ -203,33 +203,33 @@ def _normal(rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: 
     return _Normal(matrix, pull, value)
 
 
-def _scale(rig: Rig, theta: Array, data: Sequence[Sighted]) -> float:
+def _variance_from_median(rig: Rig, theta: Array, data: Sequence[Sighted]) -> float:
     """Variance (px², per axis) from the median residual."""
-    sizes = np.concatenate([np.square(r).sum(axis=-1).ravel() for r in residuals(rig, theta, data)])
+    sizes = np.concatenate([np.square(r).sum(axis=-1).ravel() for r in image_residuals(rig, theta, data)])
     return max(float(np.nanmedian(sizes)) / float(2.0 * np.log(2.0)), _LEAST)
 
 
-def _noise(rig: Rig, theta: Array, data: Sequence[Sighted], loss: Loss) -> float:
+def _variance_of_true_sightings(rig: Rig, theta: Array, data: Sequence[Sighted], loss: Loss) -> float:
     """Variance (px², per axis) of true sightings, over the degrees of freedom that θ leaves."""
-    total, count, noise = 0.0, 0.0, _scale(rig, theta, data)
-    for residual in residuals(rig, theta, data):
+    total, count, noise = 0.0, 0.0, _variance_from_median(rig, theta, data)
+    for residual in image_residuals(rig, theta, data):
         square = np.square(residual).sum(axis=-1)
         square = square[np.isfinite(square)]
         weight = loss(square / noise)[1]
         total, count = total + float(weight @ square), count + 2.0 * float(weight.sum())
-    matrix = _normal(rig, data, theta, loss, noise).matrix
+    matrix = _normal_equations(rig, data, theta, loss, noise).matrix
     known = float(np.trace(np.eye(len(theta)) - np.linalg.solve(matrix, np.diag(rig.prior[1] ** -2.0))))
     return max(total / max(count - known, 0.1 * count, 1.0), _LEAST)
 
 
-def _finished(rig: Rig, data: Sequence[Sighted], theta: Array, noise: float) -> Calibrated:
+def _finish_calibration(rig: Rig, data: Sequence[Sighted], theta: Array, noise: float) -> Calibrated:
     weigh = mixture(noise)
-    found = _normal(rig, data, theta, weigh, noise)
+    found = _normal_equations(rig, data, theta, weigh, noise)
     std = rig.prior[1]
     scaled = found.matrix * std * std[:, None]
     covariance = np.linalg.inv(scaled) * std * std[:, None]
     weights, entropy = [], 0.0
-    for residual, one in zip(residuals(rig, theta, data), data, strict=True):
+    for residual, one in zip(image_residuals(rig, theta, data), data, strict=True):
         precision = 1.0 / (noise + one.variance)
         square = (np.square(residual) * precision).sum(axis=-1)
         seen = np.isfinite(square)

@@ -8,12 +8,12 @@ NEAREST = 0.02
 """m: lower bound on depth, so that a search can pass a point behind the camera."""
 
 
-def lens(focal: float, width: float, height: float) -> Array:
+def lens_without_distortion(focal: float, width: float, height: float) -> Array:
     """Parameters (6,) of a lens without distortion: ln f (px), ln of fv over fu, centre (px), k1, k2."""
     return np.array([np.log(focal), 0.0, width / 2.0, height / 2.0, 0.0, 0.0])
 
 
-def project(points: Array, numbers: Array) -> tuple[Array, Array, Array]:
+def project_points(points: Array, numbers: Array) -> tuple[Array, Array, Array]:
     """Project points (…,3) m: image (…,2) px · derivative by point (…,2,3) · by the lens (…,2,6)."""
     depth = np.maximum(points[..., 2], NEAREST)
     x, y = points[..., 0] / depth, points[..., 1] / depth

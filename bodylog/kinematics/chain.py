@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import ModelError
 from ..types import Array
 from .robot import MOVING, Joint, Robot
-from .rotations import from_z, inverse, transform
+from .rotations import rotation_from_z, invert_transform, make_transform
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Chain:
     zero: Array
     slides: Array
 
-    def at(self, q: Array) -> "Poses":
+    def at(self, q: Array) -> "ChainPoses":
         """Poses of the end link in the start link at q (N,M), rad or m."""
         angle = q[:, self.column] * self.scale + self.zero
         rotation = np.broadcast_to(self.fixed[0, :3, :3], (len(q), 3, 3))
@@ -39,18 +39,18 @@ class Chain:
             if slides:
                 place = place + rotation[:, :, 2] * angle[:, k, None]
             else:
-                rotation = _turned(rotation, angle[:, k])
+                rotation = _turn_about_z(rotation, angle[:, k])
             strides[:, k] = rotation @ self.fixed[k + 1, :3, 3]
             place = place + strides[:, k]
             rotation = rotation @ self.fixed[k + 1, :3, :3]
-        return Poses(rotation, place, axes, origins, strides[:, :-1])
+        return ChainPoses(rotation, place, axes, origins, strides[:, :-1])
 
-    def slopes(self, poses: "Poses", points: Array) -> Array:
+    def slopes(self, poses: "ChainPoses", points: Array) -> Array:
         """Derivatives (N,C,3,M), m per rad or m, of points (N,C,3) in the start link by the joints."""
         result = np.zeros((*points.shape, len(self.joints)))
         for k, slides in enumerate(self.slides):
             axis = poses.axes[:, None, k]
-            lean = axis if slides else _crossed(axis, points - poses.origins[:, None, k])
+            lean = axis if slides else _cross_product(axis, points - poses.origins[:, None, k])
             result[..., self.column[k]] += self.scale[k] * lean
         return result
 
@@ -62,7 +62,7 @@ class Chain:
             name = self.joints[column]
             if name in still:
                 angle = float(self.scale[k] * still[name] + self.zero[k])
-                fixed[-1] = fixed[-1] @ _step(angle, bool(self.slides[k])) @ self.fixed[k + 1]
+                fixed[-1] = fixed[-1] @ _step_transform(angle, bool(self.slides[k])) @ self.fixed[k + 1]
             else:
                 steps.append(k)
                 fixed.append(self.fixed[k + 1])
@@ -79,7 +79,7 @@ class Chain:
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
+class ChainPoses:
     """rotation (N,3,3) and place (N,3) m of the end link in the start link · axes, origins (N,K,3) of the steps there.
 
     strides (N,K−1,3) m: from each step to the next, there.
@@ -92,7 +92,7 @@ class Poses:
     strides: Array
 
 
-def between(robot: Robot, start: str, end: str) -> Chain:
+def chain_between(robot: Robot, start: str, end: str) -> Chain:
     """Return the chain between two links; its joints are those with an encoder of their own, from start to end.
 
     ModelError for an unknown link, or for a joint on the path of an unsupported kind.
@@ -100,14 +100,14 @@ def between(robot: Robot, start: str, end: str) -> Chain:
     for link in (start, end):
         if link not in robot.links:
             raise ModelError(f"{robot.source}: no link {link!r}; possible: {', '.join(robot.links[:30])}")
-    down, up = _upwards(robot, end), _upwards(robot, start)
+    down, up = _joints_above(robot, end), _joints_above(robot, start)
     shared = {joint.name for joint in down} & {joint.name for joint in up}
     ways = [(joint, -1) for joint in up if joint.name not in shared]
     ways += [(joint, 1) for joint in reversed(down) if joint.name not in shared]
-    return _chained(robot, start, end, ways)
+    return _chain_joints(robot, start, end, ways)
 
 
-def _upwards(robot: Robot, link: str) -> list[Joint]:
+def _joints_above(robot: Robot, link: str) -> list[Joint]:
     path = []
     while link in robot.above:
         path.append(robot.above[link])
@@ -115,13 +115,13 @@ def _upwards(robot: Robot, link: str) -> list[Joint]:
     return path
 
 
-def _chained(robot: Robot, start: str, end: str, ways: Sequence[tuple[Joint, int]]) -> Chain:
+def _chain_joints(robot: Robot, start: str, end: str, ways: Sequence[tuple[Joint, int]]) -> Chain:
     fixed, steps = [np.eye(4)], list[tuple[int, float, float, bool]]()
     names: dict[str, int] = {}
     for joint, way in ways:
-        before, after = (joint.origin, np.eye(4)) if way > 0 else (np.eye(4), inverse(joint.origin))
+        before, after = (joint.origin, np.eye(4)) if way > 0 else (np.eye(4), invert_transform(joint.origin))
         if joint.kind in MOVING:
-            tilt = transform(from_z(joint.axis), np.zeros(3))
+            tilt = make_transform(rotation_from_z(joint.axis), np.zeros(3))
             name, scale, zero = robot.driven[joint.name]
             column = names.setdefault(name, len(names))
             steps.append((column, way * scale, way * zero, joint.kind == "prismatic"))
@@ -137,7 +137,7 @@ def _chained(robot: Robot, start: str, end: str, ways: Sequence[tuple[Joint, int
     return Chain(start, end, tuple(names), np.array(fixed), *(c.astype(k) for c, k in zip(columns, kinds, strict=True)))
 
 
-def _crossed(a: Array, b: Array) -> Array:
+def _cross_product(a: Array, b: Array) -> Array:
     """Cross products (…,3); np.cross takes five times as long on few rows."""
     result = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for k in range(3):
@@ -146,15 +146,15 @@ def _crossed(a: Array, b: Array) -> Array:
     return result
 
 
-def _turned(rotation: Array, angle: Array) -> Array:
+def _turn_about_z(rotation: Array, angle: Array) -> Array:
     """rotation (N,3,3) · Rz(angle (N,))."""
     cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
     x, y = rotation[:, :, 0], rotation[:, :, 1]
     return np.stack([cos * x + sin * y, cos * y - sin * x, rotation[:, :, 2]], axis=2)
 
 
-def _step(angle: float, slides: bool) -> Array:
+def _step_transform(angle: float, slides: bool) -> Array:
     if slides:
-        return transform(np.eye(3), np.array([0.0, 0.0, angle]))
+        return make_transform(np.eye(3), np.array([0.0, 0.0, angle]))
     cos, sin = np.cos(angle), np.sin(angle)
-    return transform(np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
+    return make_transform(np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))

@@ -11,14 +11,14 @@ import numpy as np
 from ..errors import ModelError
 from ..types import Array
 from .robot import Joint, Robot, is_optical
-from .rotations import exponential, to_rpy, transform
-from .urdf import parse
+from .rotations import rotation_from_vector, rpy_from_rotation, make_transform
+from .urdf import parse_urdf
 
 _TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class CameraFrame:
     """A camera's optical frame: its pose (4,4) in a link, m, and the name of the link that a URDF gets for it."""
 
     link: str
@@ -26,20 +26,20 @@ class Frame:
     pose: Array
 
 
-def corrected(text: str, source: str, zeros: Mapping[str, float], cameras: Sequence[Frame] = ()) -> str:
+def correct_urdf(text: str, source: str, zeros: Mapping[str, float], cameras: Sequence[CameraFrame] = ()) -> str:
     """Return the URDF whose joints at q are where those of `text` are at q + zero (rad or m), mimic joints included.
 
     A camera's link moves to its pose where a fixed joint holds it and nothing hangs on it; else the camera gets a link
     of its own, or moves the one of that name. All else in the file stays. ModelError for an unknown joint or link.
     """
-    robot = parse(text, source)
+    robot = parse_urdf(text, source)
     missing = [name for name in zeros if name not in robot.by_name]
     if missing:
         raise ModelError(f"{source}: no joint {missing[0]!r}; possible: {', '.join(list(robot.by_name)[:30])}")
     origins = {}
     for joint in robot.joints:
-        if zero := _zero(robot, joint, zeros):
-            origins[joint.name] = joint.origin @ _moved(joint, zero)
+        if zero := _zero_with_mimic(robot, joint, zeros):
+            origins[joint.name] = joint.origin @ _zero_transform(joint, zero)
     added = []
     for camera in cameras:
         fixed = _holding_joint(robot, source, camera)
@@ -52,17 +52,17 @@ def corrected(text: str, source: str, zeros: Mapping[str, float], cameras: Seque
     raw = text.encode("utf-8", "replace")
     done = 0
     parts = list[bytes]()
-    joints, end_of_robot = _places(raw)
+    joints, end_of_robot = _find_origin_tags(raw)
     for name, begin, end in joints:
         if name in origins:
             filled = begin < end and raw[end - 2 : end] != b"/>"
-            parts += [raw[done:begin], _origin(origins[name], filled)]
+            parts += [raw[done:begin], _origin_tag(origins[name], filled)]
             done = end
-    parts += [raw[done:end_of_robot], *map(_link, added)]
+    parts += [raw[done:end_of_robot], *map(_link_element, added)]
     return b"".join([*parts, raw[end_of_robot:]]).decode("utf-8")
 
 
-def _holding_joint(robot: Robot, source: str, camera: Frame) -> Joint | None:
+def _holding_joint(robot: Robot, source: str, camera: CameraFrame) -> Joint | None:
     """The fixed joint whose origin is the camera's pose; None where a link must be added."""
     if camera.link not in robot.links:
         raise ModelError(f"{source}: no link {camera.link!r}; possible: {', '.join(robot.links[:30])}")
@@ -78,15 +78,15 @@ def _holding_joint(robot: Robot, source: str, camera: Frame) -> Joint | None:
     return own if movable and is_optical(camera.link) else None
 
 
-def _link(camera: Frame) -> bytes:
+def _link_element(camera: CameraFrame) -> bytes:
     """A link for a camera's optical frame and the fixed joint that holds it."""
     name, joint, parent = (quoteattr(one) for one in (camera.name, f"{camera.name}_joint", camera.link))
-    origin = _origin(camera.pose, filled=False).decode()
+    origin = _origin_tag(camera.pose, filled=False).decode()
     inner = f"{origin}<parent link={parent}/><child link={name}/>"
     return f'  <link name={name}/>\n  <joint name={joint} type="fixed">{inner}</joint>\n'.encode()
 
 
-def _places(raw: bytes) -> tuple[list[tuple[str, int, int]], int]:
+def _find_origin_tags(raw: bytes) -> tuple[list[tuple[str, int, int]], int]:
     """Each joint's name, and where its <origin> tag begins and ends, or both where it belongs; where </robot> is."""
     parser, open_, found = expat.ParserCreate("utf-8"), list[str](), list[tuple[str, int, int]]()
     ends = [len(raw)]
@@ -110,7 +110,7 @@ def _places(raw: bytes) -> tuple[list[tuple[str, int, int]], int]:
     return found, ends[0]
 
 
-def _zero(robot: Robot, joint: Joint, zeros: Mapping[str, float]) -> float:
+def _zero_with_mimic(robot: Robot, joint: Joint, zeros: Mapping[str, float]) -> float:
     """Zero of a joint, or of the one it follows, in its own rad or m."""
     scale = 1.0
     while joint.mimic is not None:
@@ -118,13 +118,13 @@ def _zero(robot: Robot, joint: Joint, zeros: Mapping[str, float]) -> float:
     return scale * zeros.get(joint.name, 0.0)
 
 
-def _moved(joint: Joint, zero: float) -> Array:
+def _zero_transform(joint: Joint, zero: float) -> Array:
     if joint.kind == "prismatic":
-        return transform(np.eye(3), joint.axis * zero)
-    return transform(exponential(joint.axis * zero), np.zeros(3))
+        return make_transform(np.eye(3), joint.axis * zero)
+    return make_transform(rotation_from_vector(joint.axis * zero), np.zeros(3))
 
 
-def _origin(pose: Array, filled: bool) -> bytes:
+def _origin_tag(pose: Array, filled: bool) -> bytes:
     """An <origin> tag, which another one closes if it is `filled`."""
-    xyz, rpy = (" ".join(repr(float(v)) for v in part) for part in (pose[:3, 3], to_rpy(pose[:3, :3])))
+    xyz, rpy = (" ".join(repr(float(v)) for v in part) for part in (pose[:3, 3], rpy_from_rotation(pose[:3, :3])))
     return f'<origin xyz="{xyz}" rpy="{rpy}"{"" if filled else "/"}>'.encode()

@@ -21,9 +21,9 @@ def frame_robot(frame: str, coordinates: Sequence[str]) -> Robot:
     for name, parent, child in zip(coordinates, links[:-1], links[1:], strict=True):
         motion = name.rpartition(".")[2]
         kind = "continuous" if motion.startswith("r") else "prismatic"
-        joints.append(Joint(name, kind, parent, child, np.eye(4), _axis(motion[-1])))
+        joints.append(Joint(name, kind, parent, child, np.eye(4), _unit_axis(motion[-1])))
     return Robot(frame, tuple(links), tuple(joints), f"the poses of {frame}")
 
 
-def _axis(letter: str) -> Array:
+def _unit_axis(letter: str) -> Array:
     return np.asarray(np.eye(3)["xyz".index(letter)])

@@ -49,28 +49,28 @@ class Offset:
         return f"{factor * self.value:+.2f}{unit} ± {factor * self.std:.2f}{unit}"
 
 
-def offsets(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
+def joint_zeros(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
     """Each joint's zero for θ (P,) ± covariance (P,P)."""
     units = ["m" if rig.slides(m) else "rad" for m in range(len(rig.joints))]
-    return tuple(_offset(rig, theta, covariance, rig.of_joints.start + m, units[m]) for m in range(len(rig.joints)))
+    return tuple(_zero_or_scale(rig, theta, covariance, rig.of_joints.start + m, units[m]) for m in range(len(rig.joints)))
 
 
-def scales(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
+def joint_scales(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
     """Each joint's scale for θ (P,) ± covariance (P,P); empty where scales are fixed."""
     part = rig.of_scales
-    return tuple(_offset(rig, theta, covariance, index, "1") for index in range(part.start, part.stop))
+    return tuple(_zero_or_scale(rig, theta, covariance, index, "1") for index in range(part.start, part.stop))
 
 
-def _offset(rig: Rig, theta: Array, covariance: Array, index: int, unit: str) -> Offset:
+def _zero_or_scale(rig: Rig, theta: Array, covariance: Array, index: int, unit: str) -> Offset:
     """The zero or scale at `index` of θ."""
     joint = rig.joints[(index - rig.of_joints.start) % len(rig.joints)]
     std = float(np.sqrt(covariance[index, index]))
     plain = Offset(joint, float(theta[index]), std, float(rig.prior[1][index]), unit)
-    words = () if plain.identifiable else tuple(_confused(rig, covariance, index))[:2]
+    words = () if plain.identifiable else tuple(_correlated_unknowns(rig, covariance, index))[:2]
     return replace(plain, confused=words)
 
 
-def unidentified(found: Sequence[Offset]) -> Iterator[str]:
+def describe_unidentified(found: Sequence[Offset]) -> Iterator[str]:
     """Yield a line for each joint whose zero or scale was estimated and is not identifiable, and why."""
     for one in found:
         if not one.identifiable and one.beforehand > GIVEN:
@@ -79,21 +79,21 @@ def unidentified(found: Sequence[Offset]) -> Iterator[str]:
             yield f"{one.joint}: its {one.noun} {reason}"
 
 
-def _confused(rig: Rig, covariance: Array, index: int) -> Iterator[str]:
+def _correlated_unknowns(rig: Rig, covariance: Array, index: int) -> Iterator[str]:
     """Unknowns correlated with the one at `index`, largest correlation first."""
     std = np.sqrt(np.diag(covariance))
     together = covariance[index] / np.maximum(std * std[index], 1e-300)
     groups = []
-    for start, stop, words in _groups(rig):
+    for start, stop, words in _groups_of_unknowns(rig):
         rows = [k for k in range(start, stop) if k != index]
         if rows:
             groups.append((float(np.abs(together[rows]).max()), words, rows))
     for size, words, rows in sorted(groups, key=lambda group: -group[0]):
         if size > _TOGETHER:
-            yield words + (_axis(rig, rows, covariance[rows, index]) if words.endswith("turn") else "")
+            yield words + (_rotation_axis(rig, rows, covariance[rows, index]) if words.endswith("turn") else "")
 
 
-def _groups(rig: Rig) -> Iterator[tuple[int, int, str]]:
+def _groups_of_unknowns(rig: Rig) -> Iterator[tuple[int, int, str]]:
     for k, camera in enumerate(rig.cameras):
         begin = rig.of_camera(k).start
         yield begin, begin + 3, f"{camera.name}'s place"
@@ -110,7 +110,7 @@ def _groups(rig: Rig) -> Iterator[tuple[int, int, str]]:
         yield index, index + 1, f"{name}'s scale"
 
 
-def _axis(rig: Rig, rows: Sequence[int], lean: Array) -> str:
+def _rotation_axis(rig: Rig, rows: Sequence[int], lean: Array) -> str:
     """The axis of its link about which a rotation is correlated with another unknown, if it is one axis."""
     for k, camera in enumerate(rig.cameras):
         if rows[0] == rig.of_camera(k).start + 3:

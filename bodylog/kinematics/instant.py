@@ -9,7 +9,7 @@ import numpy as np
 from ..types import Array
 from .camera import NEAREST
 from .rig import Rig
-from .rotations import left_jacobian, skew
+from .rotations import left_jacobian, cross_product_matrix
 
 Row = tuple[float, float, float]
 Turn = tuple[float, float, float, float]
@@ -33,15 +33,15 @@ class _Constants(NamedTuple):
     joints: int
 
 
-def instant(rig: Rig, theta: Array) -> Instant:
+def compile_predictor(rig: Rig, theta: Array) -> Instant:
     """Return a function from one posture to the image point of the rig's first sight, for unknowns theta (P,)."""
-    known, gain, joints, scaled = _constants(rig, theta), rig.gain(theta), rig.of_joints, len(rig.scale_doubt) > 0
+    known, gain, joints, scaled = _collect_constants(rig, theta), rig.gain(theta), rig.of_joints, len(rig.scale_doubt) > 0
 
     def at(x: Array) -> tuple[Array, Array, Array]:
-        (px, py, pz), turned = _forward(known, (gain * x if scaled else x).tolist())
-        image, rows, by_lens = _projected(px, py, pz, known.lens)
+        (px, py, pz), turned = _forward_kinematics(known, (gain * x if scaled else x).tolist())
+        image, rows, by_lens = _project_point(px, py, pz, known.lens)
         arm = px - known.shift[0], py - known.shift[1], pz - known.shift[2]
-        design = np.array([_row(known, arm, turned, *both) for both in zip(rows, by_lens, strict=True)])
+        design = np.array([_design_row(known, arm, turned, *both) for both in zip(rows, by_lens, strict=True)])
         if scaled:
             by_angle = design[:, joints]
             return np.array(image), by_angle * gain, np.concatenate([design, by_angle * x], axis=1)
@@ -50,26 +50,26 @@ def instant(rig: Rig, theta: Array) -> Instant:
     return at
 
 
-def _constants(rig: Rig, theta: Array) -> _Constants:
+def _collect_constants(rig: Rig, theta: Array) -> _Constants:
     """What does not change with the posture."""
     sight = rig.sights[0]
     own, mine = theta[rig.of_camera(0)], theta[rig.of_carrier(0)]
     first = rig.camera_pose(0, theta) @ sight.chain.fixed[0]
-    fixed = [_plain(first), *(_plain(one) for one in sight.chain.fixed[1:])]
+    fixed = [_pose_numbers(first), *(_pose_numbers(one) for one in sight.chain.fixed[1:])]
     place = rig.carrier_pose(0, theta)
     placed = place[:3, :3] @ sight.points[0] + place[:3, 3]
     zeros = sight.chain.zero + sight.chain.scale * theta[rig.of_joints][sight.chain.column]
     each = (sight.chain.column, sight.chain.scale, zeros, sight.chain.slides)
     steps = list(zip(*(part.tolist() for part in each), strict=True))
     by_turn, turn = placed - mine[:3], tuple(left_jacobian(own[3:6]).T.reshape(-1).tolist())
-    marker = tuple((-skew(by_turn) @ left_jacobian(mine[3:])).T.reshape(-1).tolist()) if len(mine) == 6 else None
+    marker = tuple((-cross_product_matrix(by_turn) @ left_jacobian(mine[3:])).T.reshape(-1).tolist()) if len(mine) == 6 else None
     return _Constants(fixed, steps, placed.tolist(), turn, marker, own[:3].tolist(), own[6:].tolist(), len(rig.joints))
 
 
-def _forward(known: _Constants, angles: list[float]) -> tuple[Row, list[Turn]]:
+def _forward_kinematics(known: _Constants, angles: list[float]) -> tuple[Row, list[Turn]]:
     """The point in the camera, m, and cosine, sine and place (x, y) of it after each step's turn."""
     turned = [(1.0, 0.0, 0.0, 0.0)] * len(known.steps)
-    px, py, pz = _applied(known.fixed[-1], known.point)
+    px, py, pz = _apply_pose(known.fixed[-1], known.point)
     for k in range(len(known.steps) - 1, -1, -1):
         column, scale, zero, slides = known.steps[k]
         angle = scale * angles[column] + zero
@@ -79,49 +79,49 @@ def _forward(known: _Constants, angles: list[float]) -> tuple[Row, list[Turn]]:
             c, s = cos(angle), sin(angle)
             px, py = c * px - s * py, s * px + c * py
         turned[k] = (c, s, px, py)
-        px, py, pz = _applied(known.fixed[k], (px, py, pz))
+        px, py, pz = _apply_pose(known.fixed[k], (px, py, pz))
     return (px, py, pz), turned
 
 
-def _row(known: _Constants, arm: Row, turned: list[Turn], row: Row, by_lens: Lens) -> tuple[float, ...]:
+def _design_row(known: _Constants, arm: Row, turned: list[Turn], row: Row, by_lens: Lens) -> tuple[float, ...]:
     """One row of the design (P,), for the derivative `row` of u or v by the point in the camera."""
-    slope, g = [0.0] * known.joints, _before(known.fixed[0], row)
+    slope, g = [0.0] * known.joints, _derivative_before_pose(known.fixed[0], row)
     for (column, scale, _, slides), (c, s, x, y), after in zip(known.steps, turned, known.fixed[1:], strict=True):
         slope[column] += scale * (g[2] if slides else g[1] * x - g[0] * y)
-        g = _before(after, (c * g[0] + s * g[1], c * g[1] - s * g[0], g[2]))
+        g = _derivative_before_pose(after, (c * g[0] + s * g[1], c * g[1] - s * g[0], g[2]))
     (a, b, e), (ix, iy, iz) = row, arm
-    by_turn = _weighted(known.turn, iy * e - iz * b, iz * a - ix * e, ix * b - iy * a)
-    by_marker = () if known.marker is None else _weighted(known.marker, *g)
+    by_turn = _row_times_matrix(known.turn, iy * e - iz * b, iz * a - ix * e, ix * b - iy * a)
+    by_marker = () if known.marker is None else _row_times_matrix(known.marker, *g)
     return (*row, *by_turn, *by_lens, *g, *by_marker, *slope)
 
 
-def _plain(pose: Array) -> tuple[float, ...]:
+def _pose_numbers(pose: Array) -> tuple[float, ...]:
     """The twelve numbers of a pose, row by row."""
     return tuple(pose[:3].reshape(-1).tolist())
 
 
-def _applied(pose: tuple[float, ...], p: "Row | list[float]") -> Row:
+def _apply_pose(pose: tuple[float, ...], p: "Row | list[float]") -> Row:
     a, b, c, d, e, f, g, h, i, j, k, m = pose
     x, y, z = p
     return a * x + b * y + c * z + d, e * x + f * y + g * z + h, i * x + j * y + k * z + m
 
 
-def _weighted(m: Sequence[float], x: float, y: float, z: float) -> Row:
+def _row_times_matrix(m: Sequence[float], x: float, y: float, z: float) -> Row:
     """A row (3,) times a matrix of nine numbers, column by column."""
     return m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
 
 
-def _before(pose: tuple[float, ...], g: Row) -> Row:
+def _derivative_before_pose(pose: tuple[float, ...], g: Row) -> Row:
     """A derivative by a point, as one by the point before the pose was applied."""
     a, b, c, _, e, f, h, _, i, j, k, _ = pose
     x, y, z = g
     return a * x + e * y + i * z, b * x + f * y + j * z, c * x + h * y + k * z
 
 
-def _projected(
+def _project_point(
     px: float, py: float, pz: float, lens: list[float]
 ) -> tuple[tuple[float, float], tuple[Row, Row], tuple[Lens, Lens]]:
-    """`camera.project` for one point."""
+    """`camera.project_points` for one point."""
     depth, far = max(pz, NEAREST), pz > NEAREST
     x, y = px / depth, py / depth
     fu = exp(lens[0])

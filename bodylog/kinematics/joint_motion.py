@@ -8,7 +8,7 @@ from ..types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class JointMotion:
+class JointCurve:
     """Joint angles q (K,M), rad or m, at times t (K,) s, ascending; slopes (K,M) per s."""
 
     t: Array
@@ -32,6 +32,6 @@ class JointMotion:
         return angle, np.where(outside[:, None], 0.0, speed)
 
 
-def joint_motion(t: Array, q: Array) -> JointMotion:
+def curve_through_samples(t: Array, q: Array) -> JointCurve:
     """The curve through samples q (K,M) at t (K,) s, K at least 2, with slopes by central differences."""
-    return JointMotion(t, q, np.gradient(q, t, axis=0))
+    return JointCurve(t, q, np.gradient(q, t, axis=0))

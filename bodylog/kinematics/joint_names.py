@@ -8,7 +8,7 @@ _EMPTY_WORDS = frozenset({"joint", "j", "k", "pos", "position", "state", "motor"
 """Words that tell nothing of a joint."""
 
 
-def words(name: str) -> tuple[str, ...]:
+def telling_words(name: str) -> tuple[str, ...]:
     """The telling words of a joint's name, sorted: ('elbow', 'left') of kLeftElbow and left_elbow_joint."""
     found = [word.lower() for word in _WORDS.findall(name)]
     return tuple(sorted(word for word in found if word not in _EMPTY_WORDS))
@@ -19,13 +19,13 @@ def match_joints(names: Sequence[str], known: Iterable[str]) -> dict[str, str]:
     joints = list(known)
     by_words: dict[tuple[str, ...], list[str]] = {}
     for joint in joints:
-        by_words.setdefault(words(joint), []).append(joint)
-    same_words = [words(name) for name in names]
+        by_words.setdefault(telling_words(joint), []).append(joint)
+    same_words = [telling_words(name) for name in names]
     found = {}
     for name, key in zip(names, same_words, strict=True):
-        alike = by_words.get(key, []) if key else []
+        equal_words = by_words.get(key, []) if key else []
         if name in joints:
             found[name] = name
-        elif len(alike) == 1 and same_words.count(key) == 1 and alike[0] not in names:
-            found[name] = alike[0]
+        elif len(equal_words) == 1 and same_words.count(key) == 1 and equal_words[0] not in names:
+            found[name] = equal_words[0]
     return found

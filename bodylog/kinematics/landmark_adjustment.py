@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..types import Array
-from .landmarks import LandmarkModel, Sightings
+from .landmarks import LandmarkModel, LandmarkSightings
 
 _KNEE_SIGMA = 2.0
 """Innovations, in standard deviations, beyond which a row loses weight (Huber)."""
@@ -81,7 +81,7 @@ class Reduced:
     weight: Array
 
 
-def whiten(values: Array, seen: Sightings, std_px: float) -> Array:
+def whiten_residuals(values: Array, seen: LandmarkSightings, std_px: float) -> Array:
     """Residuals or designs (R,…) as innovations of the pieces' error processes, in standard deviations.
 
     r̃_i = (r_i − ρ_i r_{i−1}) / (σ √(1 − ρ_i²)), ρ_i = exp(−(t_i − t_{i−1}) / ℓ), ρ = 0 at the first row of a piece.
@@ -97,14 +97,14 @@ def whiten(values: Array, seen: Sightings, std_px: float) -> Array:
 
 
 def reduce_normal(
-    model: LandmarkModel, phi: Array, seen: Sightings, landmarks: Landmarks, std_px: float = RESIDUAL_STD_PX
+    model: LandmarkModel, phi: Array, seen: LandmarkSightings, landmarks: Landmarks, std_px: float = RESIDUAL_STD_PX
 ) -> Reduced:
     """Normal equations at φ; errors of a piece have the deviation std_px, places have their bodies' priors."""
     predicted = model.predict(phi, seen, landmarks.body, landmarks.places)
     residual = seen.uv - predicted.image
-    innovation = whiten(residual, seen, std_px)
-    by_place = whiten(predicted.by_place, seen, std_px)
-    by_shared = whiten(predicted.by_shared, seen, std_px)
+    innovation = whiten_residuals(residual, seen, std_px)
+    by_place = whiten_residuals(predicted.by_place, seen, std_px)
+    by_shared = whiten_residuals(predicted.by_shared, seen, std_px)
     length = np.linalg.norm(innovation, axis=1)
     weight = DATA_SHARE * np.minimum(1.0, _KNEE_SIGMA / np.maximum(length, 1e-9))
     loss = np.where(length <= _KNEE_SIGMA, length**2, _KNEE_SIGMA * (2.0 * length - _KNEE_SIGMA))
@@ -152,8 +152,8 @@ def expected_places(model: LandmarkModel, body: Array, phi: Array) -> PlacePrior
     return PlacePrior(centres[body], precision, np.zeros((len(body), 3, len(phi))), phi)
 
 
-def adjust(
-    model: LandmarkModel, phi: Array, seen: Sightings, landmarks: Landmarks, free: Array,
+def adjust_landmarks(
+    model: LandmarkModel, phi: Array, seen: LandmarkSightings, landmarks: Landmarks, free: Array,
     std_px: float = RESIDUAL_STD_PX, steps: int = _STEPS,
 ) -> tuple[Array, Landmarks, Reduced]:  # fmt: skip
     """Descend from φ over its `free` (P,) unknowns and all places, by Levenberg-Marquardt."""
@@ -180,16 +180,16 @@ def adjust(
     return phi, landmarks, here
 
 
-def triangulate(model: LandmarkModel, phi: Array, seen: Sightings, body: int) -> tuple[Array, Array]:
+def triangulate_pieces(model: LandmarkModel, phi: Array, seen: LandmarkSightings, body: int) -> tuple[Array, Array]:
     """Places (K,3) m of all pieces on one body, for given shared unknowns, and their rows' residuals (R,) px.
 
     The first place is nearest to all rays; Gauss-Newton on the image then refines it, with the body's prior.
     """
-    from .camera import project
-    from .starts import normalised
+    from .camera import project_points
+    from .starts import normalised_directions
 
     rotation, place = model.frames(phi, seen, body)
-    rays = np.concatenate([normalised(seen.uv, phi[6:12]), np.ones((len(seen.uv), 1))], axis=1)
+    rays = np.concatenate([normalised_directions(seen.uv, phi[6:12]), np.ones((len(seen.uv), 1))], axis=1)
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     across = np.eye(3) - rays[:, :, None] * rays[:, None]
     part = model.bodies[body]
@@ -202,7 +202,7 @@ def triangulate(model: LandmarkModel, phi: Array, seen: Sightings, body: int) ->
     places = np.linalg.solve(matrix, right[..., None])[..., 0]
     for turn in range(_PLACE_STEPS + 1):
         inside = np.einsum("nij,nj->ni", rotation, places[seen.piece]) + place
-        image, by_point, _ = project(inside, phi[6:12])
+        image, by_point, _ = project_points(inside, phi[6:12])
         residual = seen.uv - image
         length = np.linalg.norm(residual, axis=1)
         if turn == _PLACE_STEPS:
@@ -235,7 +235,7 @@ _BOX_SIGMAS = 2.5
 """Sizes of a body beyond which a point is not on it."""
 
 
-def assign(model: LandmarkModel, phi: Array, seen: Sightings, tried: Array | None = None) -> Assignment:
+def assign_pieces(model: LandmarkModel, phi: Array, seen: LandmarkSightings, tried: Array | None = None) -> Assignment:
     """Try every piece on every body, or on those that `tried` (B,K) names: the least error wins."""
     errors = np.full((len(model.bodies), seen.count), np.inf)
     places = np.zeros((len(model.bodies), seen.count, 3))
@@ -244,7 +244,7 @@ def assign(model: LandmarkModel, phi: Array, seen: Sightings, tried: Array | Non
         if not len(pieces):
             continue
         some = seen if len(pieces) == seen.count else seen.take(pieces)
-        there, length = triangulate(model, phi, some, number)
+        there, length = triangulate_pieces(model, phi, some, number)
         away = np.linalg.norm(there - part.centre, axis=1) / part.size
         error = np.sqrt(some.sums(np.square(length)) / some.lengths)
         errors[number, pieces] = np.where(away > _BOX_SIGMAS, np.inf, error)

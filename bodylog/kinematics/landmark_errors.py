@@ -33,7 +33,7 @@ def unknowns_covariance(fit: LandmarkFit) -> Array:
     part = np.ix_(fit.free, fit.free)
     inverse = np.linalg.inv(fit.reduced.matrix[part])
     prior = (fit.model.prior_precision + fit.reduced.from_prior)[part]
-    weighted, scores = _scores(fit)
+    weighted, scores = _scores_of_rows(fit)
     flat = weighted.reshape(-1, weighted.shape[2])
     modelled = inverse @ (prior + (flat.T @ flat + _shared_meat(fit, weighted))[part]) @ inverse
     scatter = inverse @ (prior + _block_meat(fit, scores)[part]) @ inverse
@@ -47,7 +47,7 @@ def unknowns_covariance(fit: LandmarkFit) -> Array:
     return _with_floor(fit, result)
 
 
-def _scores(fit: LandmarkFit) -> tuple[Array, Array]:
+def _scores_of_rows(fit: LandmarkFit) -> tuple[Array, Array]:
     """Weighted designs (R,2,P) and scores (R,P) of each row."""
     weighted = fit.reduced.rows * fit.reduced.weight[:, None, None]
     return weighted, np.einsum("nip,ni->np", weighted, fit.reduced.innovation)
@@ -55,7 +55,7 @@ def _scores(fit: LandmarkFit) -> tuple[Array, Array]:
 
 def _shared_meat(fit: LandmarkFit, weighted: Array) -> Array:
     """Scatter (P,P) of the scores by the innovations that a link's rows of one image share."""
-    groups = _groups(fit, 1e-4)
+    groups = _group_rows(fit, 1e-4)
     sums = np.zeros((int(groups.max()) + 1, *weighted.shape[1:]))
     np.add.at(sums, groups, weighted)
     flat = sums.reshape(-1, weighted.shape[2])
@@ -64,13 +64,13 @@ def _shared_meat(fit: LandmarkFit, weighted: Array) -> Array:
 
 def _block_meat(fit: LandmarkFit, scores: Array) -> Array:
     """Scatter (P,P) of the scores' sums over blocks."""
-    groups = _groups(fit, BLOCK_S)
+    groups = _group_rows(fit, BLOCK_S)
     sums = np.zeros((int(groups.max()) + 1, scores.shape[1]))
     np.add.at(sums, groups, scores)
     return np.asarray(sums.T @ sums)
 
 
-def _groups(fit: LandmarkFit, width_s: float) -> Array:
+def _group_rows(fit: LandmarkFit, width_s: float) -> Array:
     """Numbers (R,) of the rows that have log, body and time, in steps of width_s, in common."""
     body = fit.landmarks.body[fit.seen.piece]
     keys = np.stack([fit.seen.log, body, np.floor(fit.seen.t / width_s)], axis=1)

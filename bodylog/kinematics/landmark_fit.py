@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..types import Array
-from .chain import between
-from .joint_motion import JointMotion
-from .landmark_adjustment import RESIDUAL_STD_PX, Assignment, Landmarks, Reduced, adjust, assign
-from .landmarks import LandmarkBody, LandmarkModel, Sightings
+from .chain import chain_between
+from .joint_motion import JointCurve
+from .landmark_adjustment import RESIDUAL_STD_PX, Assignment, Landmarks, Reduced, adjust_landmarks, assign_pieces
+from .landmarks import LandmarkBody, LandmarkModel, LandmarkSightings
 from .links import Space
-from .rig import Camera, Rig, Sight
+from .rig import RigCamera, Rig, Sight
 
 BODY_RADIUS_M = 0.1
 """What stands out beyond the origins of a link: half the prior size of a link of no length."""
@@ -32,14 +32,14 @@ _TRIED_AGAIN = 4.0
 
 
 def build_model(
-    robot_space: Space, camera: Camera, motions: Sequence[JointMotion], zero_std: float
+    robot_space: Space, camera: RigCamera, motions: Sequence[JointCurve], zero_std: float
 ) -> LandmarkModel:
     """The model of one camera and every rigid part of the robot that moves before it, and the base.
 
     robot_space: the robot with its joints that move · zero_std: prior std of joint zeros, rad (m: a tenth).
     """
     space = robot_space
-    bodies = tuple(_bodies(space, camera.link))
+    bodies = tuple(_landmark_bodies(space, camera.link))
     sights = tuple(Sight(body.link, 0, 0, body.chain) for body in bodies)
     doubt = np.array([zero_std * (0.1 if space.robot.by_name[name].kind == "prismatic" else 1.0)
                       for name in space.joints])  # fmt: skip
@@ -47,15 +47,15 @@ def build_model(
     return LandmarkModel(rig, bodies, tuple(motions))
 
 
-def _bodies(space: Space, camera_link: str) -> Iterator[LandmarkBody]:
+def _landmark_bodies(space: Space, camera_link: str) -> Iterator[LandmarkBody]:
     groups = space.groups
-    uppermost = {link: _uppermost(space, link, groups) for link in space.robot.links}
+    uppermost = {link: _uppermost_link(space, link, groups) for link in space.robot.links}
     for group in groups:
         origins = []
         for link in space.robot.links:
             parent = space.robot.above[link].parent if link in space.robot.above else link
             if uppermost[link] == group or uppermost[parent] == group:
-                origins.append(_origin(space, group, link))
+                origins.append(_link_origin(space, group, link))
         places = np.array(origins or [np.zeros(3)])
         low, high = places.min(axis=0), places.max(axis=0)
         size = 0.5 * float(np.linalg.norm(high - low)) + BODY_RADIUS_M
@@ -66,15 +66,15 @@ def _bodies(space: Space, camera_link: str) -> Iterator[LandmarkBody]:
         )  # fmt: skip
 
 
-def _uppermost(space: Space, link: str, groups: Sequence[str]) -> str:
+def _uppermost_link(space: Space, link: str, groups: Sequence[str]) -> str:
     while link not in groups and link in space.robot.above:
         link = space.robot.above[link].parent
     return link
 
 
-def _origin(space: Space, start: str, link: str) -> Array:
+def _link_origin(space: Space, start: str, link: str) -> Array:
     """The origin (3,) m of a link in another with all joints at zero."""
-    chain = between(space.robot, start, link)
+    chain = chain_between(space.robot, start, link)
     held = chain.holding({joint: space.still.get(joint, 0.0) for joint in chain.joints})
     return np.asarray(held.fixed[0][:3, 3])
 
@@ -89,7 +89,7 @@ class LandmarkFit:
     model: LandmarkModel
     phi: Array
     free: Array
-    seen: Sightings
+    seen: LandmarkSightings
     used: Array
     landmarks: Landmarks
     reduced: Reduced
@@ -101,13 +101,13 @@ class LandmarkFit:
         return float(np.sqrt((weight[:, None] * np.square(self.reduced.residual)).sum() / (2.0 * weight.sum())))
 
 
-def search_costs(model: LandmarkModel, phi: Array, seen: Sightings) -> Array:
+def search_costs(model: LandmarkModel, phi: Array, seen: LandmarkSightings) -> Array:
     """Square errors (K,), px², of the pieces on their best bodies, each at most _SEARCH_CAP_PX squared."""
-    error = assign(model, phi, seen).error
+    error = assign_pieces(model, phi, seen).error
     return np.asarray(np.square(np.minimum(error, _SEARCH_CAP_PX)))
 
 
-def search_delay(model: LandmarkModel, phi: Array, seen: Sightings) -> tuple[Array, float]:
+def search_delay(model: LandmarkModel, phi: Array, seen: LandmarkSightings) -> tuple[Array, float]:
     """φ with each log's delay of least cost on a coarse grid, and the mean cost of all pieces with these."""
     logs = seen.log[seen.begins]
     sums = np.empty((len(_DELAY_GRID_S), len(model.motions)))
@@ -120,7 +120,7 @@ def search_delay(model: LandmarkModel, phi: Array, seen: Sightings) -> tuple[Arr
     return found, float(sums.min(axis=0).sum() / seen.count)
 
 
-def choose_pieces(seen: Sightings, most: int) -> Array:
+def choose_pieces(seen: LandmarkSightings, most: int) -> Array:
     """At most `most` pieces of each log, evenly spread over its time: numbers, ascending."""
     logs = seen.log[seen.begins]
     chosen = []
@@ -131,13 +131,13 @@ def choose_pieces(seen: Sightings, most: int) -> Array:
 
 
 def staged_fit(
-    model: LandmarkModel, phi: Array, seen: Sightings, row_time: bool = True, wide: bool = False
+    model: LandmarkModel, phi: Array, seen: LandmarkSightings, row_time: bool = True, wide: bool = False
 ) -> LandmarkFit | None:
     """Adjust in stages from φ: delay, pose and focal length, then zeros, then the lens, then the row time.
 
     wide: the camera is not even known roughly. None where fewer than LEAST_PIECES moving pieces fit any body.
     """
-    pose, focal, lens, zeros, delays, row = _unknowns(model)
+    pose, focal, lens, zeros, delays, row = _masks_of_unknowns(model)
     found: LandmarkFit | None = None
     tried: Array | None = None
     stages = [(-1, 40.0, 8.0), (-1, 24.0, 5.0)] if wide else []
@@ -149,31 +149,31 @@ def staged_fit(
             free |= zeros if stage >= 1 else False
             free |= lens if stage >= 2 else False
             free |= row if row_time and stage >= 3 else False
-            chosen = assign(model, phi, seen, tried)
+            chosen = assign_pieces(model, phi, seen, tried)
             tried = chosen.errors < _TRIED_AGAIN * threshold
-            used = np.flatnonzero((chosen.error < threshold) & explained(model, chosen))
-            if not enough(model, chosen, used):
+            used = np.flatnonzero((chosen.error < threshold) & explained_pieces(model, chosen))
+            if not has_enough_pieces(model, chosen, used):
                 return found if stage > 2 else None
             part = seen.take(used)
             start = Landmarks(chosen.body[used], chosen.places[used])
-            phi, landmarks, reduced = adjust(model, phi, part, start, free, std_px)
+            phi, landmarks, reduced = adjust_landmarks(model, phi, part, start, free, std_px)
             found = LandmarkFit(model, phi, free, part, used, landmarks, reduced)
     return found
 
 
-def explained(model: LandmarkModel, chosen: Assignment) -> Array:
+def explained_pieces(model: LandmarkModel, chosen: Assignment) -> Array:
     """Which pieces (K,) a body explains much better than rest in the image does: a swaying picture moves no link."""
     moves = np.array([len(body.chain.column) > 0 for body in model.bodies])[chosen.body]
     return np.asarray(~moves | (chosen.error < _EXPLAINED_SHARE * chosen.still))
 
 
-def enough(model: LandmarkModel, chosen: Assignment, used: Array) -> bool:
+def has_enough_pieces(model: LandmarkModel, chosen: Assignment, used: Array) -> bool:
     """Whether enough of the used pieces lie on bodies that move before the camera."""
     moving = np.array([len(body.chain.column) > 0 for body in model.bodies])
     return int(moving[chosen.body[used]].sum()) >= LEAST_PIECES
 
 
-def _unknowns(model: LandmarkModel) -> tuple[Array, Array, Array, Array, Array, Array]:
+def _masks_of_unknowns(model: LandmarkModel) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Masks (P,) of φ: camera pose, focal length, rest of the lens, zeros, delays, row time."""
     count = len(model.prior[0])
     parts = [slice(0, 6), slice(6, 7), slice(8, 11), model.rig.of_joints, model.of_delays]

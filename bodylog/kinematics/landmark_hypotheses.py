@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..types import Array
-from .landmarks import Belief, LandmarkModel
+from .landmarks import LandmarkBelief, LandmarkModel
 
 OFFSET_STD = 0.1
 """rad (m: a tenth): prior std of an offset that a faulty joint has; 5.7°."""
@@ -33,7 +33,7 @@ class Information:
 
 
 @dataclass(frozen=True)
-class Change:
+class ChangeHypothesis:
     """A hypothesis: its ln evidence, nats, and of a joint its offset δ ± std, rad or m, with its prior std."""
 
     name: str
@@ -43,14 +43,14 @@ class Change:
     beforehand: float = 0.0
 
 
-def widened(model: LandmarkModel, belief: Belief, camera_may_move: bool = False) -> LandmarkModel:
+def widen_zero_belief(model: LandmarkModel, belief: LandmarkBelief, camera_may_move: bool = False) -> LandmarkModel:
     """The model with a belief in which every joint may be off, and the camera moved if it may."""
     variance = np.zeros(len(belief.mean))
     for index, std in _offset_stds(model).values():
         variance[index] = std**2
     if camera_may_move:
         variance[_of_camera(model)] = MOVED_STD**2
-    return replace(model, belief=Belief(belief.mean, belief.covariance + np.diag(variance)))
+    return replace(model, belief=LandmarkBelief(belief.mean, belief.covariance + np.diag(variance)))
 
 
 def _of_camera(model: LandmarkModel) -> slice:
@@ -67,33 +67,33 @@ def _offset_stds(model: LandmarkModel) -> Mapping[str, tuple[int, float]]:
     }
 
 
-def information(model: LandmarkModel, phi: Array, covariance: Array) -> Information:
+def information_of_log(model: LandmarkModel, phi: Array, covariance: Array) -> Information:
     """What the log alone tells, from a posterior φ (P,) ± covariance (P,P) and the model's belief."""
     assert model.belief is not None
     std = model.prior[1]
     posterior = np.linalg.inv(covariance / std / std[:, None])
     prior = np.linalg.inv(model.belief.covariance / std / std[:, None])
     values, vectors = np.linalg.eigh(posterior - prior)
-    told = vectors * np.maximum(values, 0.0) @ vectors.T
-    pull = told @ (phi / std) + prior @ ((phi - model.belief.mean) / std)
-    return Information(told / std / std[:, None], pull / std)
+    log_information = vectors * np.maximum(values, 0.0) @ vectors.T
+    pull = log_information @ (phi / std) + prior @ ((phi - model.belief.mean) / std)
+    return Information(log_information / std / std[:, None], pull / std)
 
 
-def weigh(model: LandmarkModel, belief: Belief, told: Information, camera_may_move: bool = True) -> list[Change]:
+def weigh_hypotheses(model: LandmarkModel, belief: LandmarkBelief, told: Information, camera_may_move: bool = True) -> list[ChangeHypothesis]:
     """Every hypothesis with its evidence, the sound one first."""
     count = len(belief.mean)
-    found = [_weighed(SOUND, belief, told, np.zeros(count), None)]
+    found = [_weigh_hypothesis(SOUND, belief, told, np.zeros(count), None)]
     for joint, (index, std) in _offset_stds(model).items():
         added = std**2 * (np.arange(count) == index)
-        found.append(_weighed(joint, belief, told, added, index))
+        found.append(_weigh_hypothesis(joint, belief, told, added, index))
     if camera_may_move:
         added = np.zeros(count)
         added[_of_camera(model)] = MOVED_STD**2
-        found.append(_weighed(CAMERA, belief, told, added, None))
+        found.append(_weigh_hypothesis(CAMERA, belief, told, added, None))
     return found
 
 
-def _weighed(name: str, belief: Belief, told: Information, added: Array, index: int | None) -> Change:
+def _weigh_hypothesis(name: str, belief: LandmarkBelief, told: Information, added: Array, index: int | None) -> ChangeHypothesis:
     """One hypothesis, whose prior has the variances `added` (P,) more; its offset at `index` of φ."""
     std = np.sqrt(np.diag(belief.covariance) + added)
     covariance = (belief.covariance + np.diag(added)) / std / std[:, None]
@@ -105,10 +105,10 @@ def _weighed(name: str, belief: Belief, told: Information, added: Array, index: 
     beyond = np.linalg.solve(precision, pull)
     nats = -0.5 * (np.linalg.slogdet(precision)[1] + np.linalg.slogdet(covariance)[1]) + 0.5 * float(pull @ beyond)
     if index is None:
-        return Change(name, float(nats))
+        return ChangeHypothesis(name, float(nats))
     variance = float(added[index])
     share = prior[index] / std[index]
     value = variance * float(share @ beyond)
     spread = float(share @ np.linalg.solve(precision, share)) - float(prior[index, index]) / float(std[index]) ** 2
     left = max(variance + variance**2 * spread, 0.0)
-    return Change(name, float(nats), value, float(np.sqrt(left)), float(np.sqrt(variance)))
+    return ChangeHypothesis(name, float(nats), value, float(np.sqrt(left)), float(np.sqrt(variance)))

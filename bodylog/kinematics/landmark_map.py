@@ -7,7 +7,7 @@ import numpy as np
 from ..body_model import LandmarkMap
 from ..types import Array
 from .landmark_adjustment import Landmarks, PlacePrior
-from .landmarks import LandmarkModel, Sightings
+from .landmarks import LandmarkModel, LandmarkSightings
 
 LEAST_FACING = 0.75
 """Cosine of the angle between the directions of two looks at a landmark, below which they show different things."""
@@ -29,7 +29,7 @@ def foretell(model: LandmarkModel, phi: Array, landmarks: Landmarks, t: Array, l
     uv = np.full((count * frames, 2), 0.5 * height)
     piece, logs = np.repeat(np.arange(count), frames), np.full(count * frames, log)
     for _ in range(2):  # the row in which it appears tells when it was exposed
-        seen = Sightings(piece, logs, np.tile(t, count), uv, height)
+        seen = LandmarkSightings(piece, logs, np.tile(t, count), uv, height)
         predicted = model.predict(phi, seen, landmarks.body, landmarks.places)
         uv = predicted.image
     shape = (count, frames)

@@ -15,11 +15,11 @@ from functools import cached_property
 import numpy as np
 
 from ..types import Array
-from .camera import project
+from .camera import project_points
 from .chain import Chain
-from .joint_motion import JointMotion
+from .joint_motion import JointCurve
 from .rig import Rig
-from .rotations import exponential, left_jacobian, skew
+from .rotations import rotation_from_vector, left_jacobian, cross_product_matrix
 
 DELAY_STD_S = 0.3
 """Prior std of a camera's delay."""
@@ -41,7 +41,7 @@ class LandmarkBody:
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class LandmarkSightings:
     """Pieces of corner tracks, or landmarks found again, all logs together, each one's rows by log and time.
 
     piece (R,) from 0, ascending · log (R,) · t (R,) s, image times in their log · uv (R,2) px · height of images, px.
@@ -72,22 +72,22 @@ class Sightings:
         """Sums (K,…) of rows (R,…) over each piece."""
         return np.asarray(np.add.reduceat(values, self.begins, axis=0))
 
-    def take(self, pieces: Array) -> "Sightings":
+    def take(self, pieces: Array) -> "LandmarkSightings":
         """The pieces with these numbers (k,), ascending, numbered from 0."""
         number = np.full(self.count, -1)
         number[pieces] = np.arange(len(pieces))
         rows = number[self.piece] >= 0
-        return Sightings(number[self.piece[rows]], self.log[rows], self.t[rows], self.uv[rows], self.height)
+        return LandmarkSightings(number[self.piece[rows]], self.log[rows], self.t[rows], self.uv[rows], self.height)
 
-    def thinned(self, every: int) -> "Sightings":
+    def thinned(self, every: int) -> "LandmarkSightings":
         """Every n-th row of each piece, beginning with its first."""
         place = np.arange(len(self.piece)) - self.begins[self.piece]
         rows = place % every == 0
-        return Sightings(self.piece[rows], self.log[rows], self.t[rows], self.uv[rows], self.height)
+        return LandmarkSightings(self.piece[rows], self.log[rows], self.t[rows], self.uv[rows], self.height)
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class LandmarkBelief:
     """What earlier logs tell of the unknowns φ: mean (P,) and covariance (P,P)."""
 
     mean: Array
@@ -105,8 +105,8 @@ class LandmarkModel:
 
     rig: Rig
     bodies: tuple[LandmarkBody, ...]
-    motions: tuple[JointMotion, ...]
-    belief: Belief | None = None
+    motions: tuple[JointCurve, ...]
+    belief: LandmarkBelief | None = None
     changes: bool = False
 
     @cached_property
@@ -160,7 +160,7 @@ class LandmarkModel:
             theta[self.rig.of_joints] += phi[self.of_changes]
         return theta
 
-    def joints_at(self, phi: Array, seen: Sightings) -> tuple[Array, Array, Array]:
+    def joints_at(self, phi: Array, seen: LandmarkSightings) -> tuple[Array, Array, Array]:
         """Joint angles and speeds (R,M) when each row was exposed, and its row's share (R,) of the image, −½ to ½."""
         share = seen.uv[:, 1] / seen.height - 0.5
         exposed = seen.t - phi[self.of_delays][seen.log] + phi[self.of_row_time] * share
@@ -171,13 +171,13 @@ class LandmarkModel:
             angles[rows], speeds[rows] = motion.at(exposed[rows])
         return angles, speeds, share
 
-    def frames(self, phi: Array, seen: Sightings, body: int) -> tuple[Array, Array]:
+    def frames(self, phi: Array, seen: LandmarkSightings, body: int) -> tuple[Array, Array]:
         """Rotation (R,3,3) and place (R,3) m of a body in the camera at each row."""
-        return _in_camera(self, phi, self.joints_at(phi, seen)[0], body)
+        return _body_in_camera(self, phi, self.joints_at(phi, seen)[0], body)
 
-    def predict(self, phi: Array, seen: Sightings, body: Array, places: Array) -> "Prediction":
+    def predict(self, phi: Array, seen: LandmarkSightings, body: Array, places: Array) -> "Prediction":
         """Predict the rows of pieces on the bodies with numbers (K,), at places (K,3) m on them."""
-        return _predict(self, phi, seen, body, places)
+        return _predict_images(self, phi, seen, body, places)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,14 +191,14 @@ class Prediction:
     depth: Array
 
 
-def _in_camera(model: LandmarkModel, phi: Array, angles: Array, body: int) -> tuple[Array, Array]:
+def _body_in_camera(model: LandmarkModel, phi: Array, angles: Array, body: int) -> tuple[Array, Array]:
     rig, theta = model.rig, model.changed(phi)
     poses = model.bodies[body].chain.at(rig.angles(theta, angles))
     camera = rig.camera_pose(0, theta)
     return camera[:3, :3] @ poses.rotation, poses.place @ camera[:3, :3].T + camera[:3, 3]
 
 
-def _predict(model: LandmarkModel, phi: Array, seen: Sightings, body: Array, places: Array) -> Prediction:
+def _predict_images(model: LandmarkModel, phi: Array, seen: LandmarkSightings, body: Array, places: Array) -> Prediction:
     rig, rows = model.rig, len(seen.piece)
     theta = model.changed(phi)
     angles, speeds, share = model.joints_at(phi, seen)
@@ -207,7 +207,7 @@ def _predict(model: LandmarkModel, phi: Array, seen: Sightings, body: Array, pla
     by_joints = np.empty((rows, 2, len(rig.joints)))
     by_shared = np.zeros((rows, 2, len(phi)))
     anchor, pose = rig.cameras[0].anchor, theta[:6]
-    turn = exponential(pose[3:])
+    turn = rotation_from_vector(pose[3:])
     body_of_row = body[seen.piece]
     for number in np.unique(body):
         at = np.flatnonzero(body_of_row == number)
@@ -215,13 +215,13 @@ def _predict(model: LandmarkModel, phi: Array, seen: Sightings, body: Array, pla
         poses = chain.at(rig.angles(theta, angles[at]))
         linked = np.einsum("nij,nj->ni", poses.rotation, places[seen.piece[at]]) + poses.place
         turned = (linked @ anchor[:3, :3].T + anchor[:3, 3]) @ turn.T
-        seen_at, by_point, by_lens = project(turned + pose[:3], theta[6:12])
+        seen_at, by_point, by_lens = project_points(turned + pose[:3], theta[6:12])
         to_link = by_point @ (turn @ anchor[:3, :3])
         image[at], depth[at] = seen_at, turned[:, 2] + pose[2]
         by_place[at] = to_link @ poses.rotation
         by_joints[at] = to_link @ chain.slopes(poses, linked[:, None])[:, 0]
         by_shared[at, :, :3] = by_point
-        by_shared[at, :, 3:6] = by_point @ (-skew(turned) @ left_jacobian(pose[3:]))
+        by_shared[at, :, 3:6] = by_point @ (-cross_product_matrix(turned) @ left_jacobian(pose[3:]))
         by_shared[at, :, 6:12] = by_lens
     by_shared[:, :, rig.of_joints] = by_joints
     by_time = np.einsum("nim,nm->ni", by_joints, speeds)
@@ -234,9 +234,9 @@ def _predict(model: LandmarkModel, phi: Array, seen: Sightings, body: Array, pla
     return Prediction(image, by_place, by_shared, by_joints, depth)
 
 
-def sightings(
+def join_landmark_tracks(
     pieces: Sequence[tuple[Array, Array, Array]], height: float
-) -> Sightings:
+) -> LandmarkSightings:
     """Join the logs' tracks: of each log (piece (R,), t (R,) s, uv (R,2) px)."""
     numbers, logs, offset = [], [], 0
     for log, (piece, _, _) in enumerate(pieces):
@@ -245,4 +245,4 @@ def sightings(
         offset += int(piece[-1]) + 1 if len(piece) else 0
     t = np.concatenate([part[1] for part in pieces])
     uv = np.concatenate([part[2] for part in pieces])
-    return Sightings(np.concatenate(numbers), np.concatenate(logs), t, uv, height)
+    return LandmarkSightings(np.concatenate(numbers), np.concatenate(logs), t, uv, height)

@@ -7,13 +7,13 @@ import numpy as np
 
 from ..errors import ModelError
 from ..types import Array
-from .calibration import Calibrated, Sighted, calibrate, scout
-from .camera import lens
-from .chain import Chain, between
-from .rig import Camera, Carrier, Rig, Sight
+from .calibration import Calibrated, Sighted, calibrate_rig, scout_start
+from .camera import lens_without_distortion
+from .chain import Chain, chain_between
+from .rig import RigCamera, Carrier, Rig, Sight
 from .robot import MOVING, Robot, is_optical
-from .rotations import inverse
-from .starts import starts
+from .rotations import invert_transform
+from .starts import find_starts
 
 ANYWHERE = 10.0
 """m and rad: prior std of an unknown pose."""
@@ -51,7 +51,7 @@ class CameraHint:
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class MarkerTrack:
     """Sightings of one marker in one camera, by name · points (C,3) m of a rigid board, or one at the origin."""
 
     camera: str
@@ -61,7 +61,7 @@ class Track:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FoundLinks:
     """The chosen rig, its calibration, and the nats it wins against the next alternative (or None).
 
     lacking: joints of the chains without readings, assumed at zero.
@@ -72,10 +72,10 @@ class Found:
     lacking: tuple[str, ...]
 
 
-def find(
-    robot: Robot, joints: Sequence[str], still: Mapping[str, float], tracks: Mapping[str, Track],
+def find_links(
+    robot: Robot, joints: Sequence[str], still: Mapping[str, float], tracks: Mapping[str, MarkerTrack],
     hints: Mapping[str, CameraHint], doubt: float, scale: float = 0.0, carried: Mapping[str, str] | None = None,
-) -> Found:  # fmt: skip
+) -> FoundLinks:  # fmt: skip
     """Find the most likely links of camera and marker for each track, then calibrate all tracks together.
 
     joints: names of the data's columns · still: angles of joints that did not move · doubt: prior std of joint zeros,
@@ -88,43 +88,43 @@ def find(
     for track in tracks.values():
         if track.camera in placed and track.marker in markers:
             continue
-        best, least = _likeliest(space, track, placed.get(track.camera), markers.get(track.marker), hints)
+        best, least = _most_likely_links(space, track, placed.get(track.camera), markers.get(track.marker), hints)
         margin = least if margin is None or (least is not None and least < margin) else margin
         placed[track.camera] = best.rig.cameras[0].link
         markers[track.marker] = best.rig.carriers[0].link
     if len(tracks) > 1 or best is None:
         rig = space.rig(list(tracks.values()), placed, markers, hints)
         data = [one.data for one in tracks.values()]
-        rig, first = starts(rig, data)
-        best = calibrate(rig, data, first)
+        rig, first = find_starts(rig, data)
+        best = calibrate_rig(rig, data, first)
     ways = [space.lacking(sight.chain.start, sight.chain.end) for sight in best.rig.sights]
-    return Found(best, margin, tuple(dict.fromkeys(name for way in ways for name in way)))
+    return FoundLinks(best, margin, tuple(dict.fromkeys(name for way in ways for name in way)))
 
 
-def _likeliest(
-    space: "Space", track: Track, camera: str | None, marker: str | None, hints: Mapping[str, CameraHint]
+def _most_likely_links(
+    space: "Space", track: MarkerTrack, camera: str | None, marker: str | None, hints: Mapping[str, CameraHint]
 ) -> tuple[Calibrated, float | None]:
     """One track's calibration on its most likely links, chosen by few sightings, and the nats they win."""
     rows = np.unique(np.linspace(0, len(track.data.q) - 1, min(len(track.data.q), _FEW)).round().astype(int))
     part = Sighted(track.data.q[rows], track.data.image[rows], track.data.variance[rows])
     few, found = replace(track, data=part), list[Calibrated]()
     for pairs in space.pairs(camera, marker):
-        for a, b in _promising(space, few, pairs, hints):
-            rig, first = starts(space.rig([few], {few.camera: a}, {few.marker: b}, hints), [part])
-            found.append(calibrate(rig, [part], first))
+        for a, b in _preselect_links(space, few, pairs, hints):
+            rig, first = find_starts(space.rig([few], {few.camera: a}, {few.marker: b}, hints), [part])
+            found.append(calibrate_rig(rig, [part], first))
         found.sort(key=lambda one: -one.evidence)
-        if found and _explains(found[0], part):
+        if found and _explains_motion(found[0], part):
             break
     if not found:
         raise ModelError(f"{space.robot.source}: no joint that moved lies between any two of its links")
     margin = found[0].evidence - found[1].evidence if len(found) > 1 else None
     links = found[0].rig.cameras[0].link, found[0].rig.carriers[0].link
-    rig, first = starts(space.rig([track], {track.camera: links[0]}, {track.marker: links[1]}, hints), [track.data])
-    return calibrate(rig, [track.data], first), margin
+    rig, first = find_starts(space.rig([track], {track.camera: links[0]}, {track.marker: links[1]}, hints), [track.data])
+    return calibrate_rig(rig, [track.data], first), margin
 
 
-def _promising(
-    space: "Space", track: Track, pairs: Sequence[tuple[str, str]], hints: Mapping[str, CameraHint]
+def _preselect_links(
+    space: "Space", track: MarkerTrack, pairs: Sequence[tuple[str, str]], hints: Mapping[str, CameraHint]
 ) -> list[tuple[str, str]]:
     """The few pairs of links with the least loss after a short descent from one start."""
     drawn = [(a, b) for a, b in pairs if is_optical(a)]
@@ -133,12 +133,12 @@ def _promising(
         return [*drawn, *rest]
     left = []
     for a, b in rest:
-        rig, first = starts(space.rig([track], {track.camera: a}, {track.marker: b}, hints), [track.data])
-        left.append((scout(rig, [track.data], first[0]), a, b))
+        rig, first = find_starts(space.rig([track], {track.camera: a}, {track.marker: b}, hints), [track.data])
+        left.append((scout_start(rig, [track.data], first[0]), a, b))
     return [*drawn, *((a, b) for _, a, b in sorted(left)[:_PROMISING])]
 
 
-def _explains(found: Calibrated, data: Sighted) -> bool:
+def _explains_motion(found: Calibrated, data: Sighted) -> bool:
     """Whether a calibration explains most of the sightings' motion."""
     return found.noise < (EXPLAINED * data.spread) ** 2 and float(np.mean(found.weights[0][data.seen])) > 0.5
 
@@ -159,13 +159,13 @@ class Space:
 
     def chain(self, camera: str, marker: str) -> Chain:
         """The chain from the camera's link to the marker's, with joints fixed that did not move or have no readings."""
-        found = between(self.robot, camera, marker)
+        found = chain_between(self.robot, camera, marker)
         held = {name: self.still.get(name, 0.0) for name in found.joints if name not in self.joints}
         return found.holding(held).over(self.joints)
 
     def lacking(self, camera: str, marker: str) -> list[str]:
         """Joints between two links without readings."""
-        names = between(self.robot, camera, marker).joints
+        names = chain_between(self.robot, camera, marker).joints
         return [name for name in names if name not in self.joints and name not in self.still]
 
     def pairs(self, camera: str | None, marker: str | None) -> Iterator[list[tuple[str, str]]]:
@@ -199,17 +199,17 @@ class Space:
         return joint.kind in MOVING and joint.name in self.joints
 
     def _between(self, a: str, b: str) -> list[str]:
-        return [name for name in between(self.robot, a, b).joints if name in self.joints]
+        return [name for name in chain_between(self.robot, a, b).joints if name in self.joints]
 
     def rig(
-        self, tracks: Sequence[Track], placed: Mapping[str, str], markers: Mapping[str, str],
+        self, tracks: Sequence[MarkerTrack], placed: Mapping[str, str], markers: Mapping[str, str],
         hints: Mapping[str, CameraHint],
     ) -> Rig:  # fmt: skip
         """The rig of some tracks with their cameras and markers on given links."""
         names = list(dict.fromkeys(track.camera for track in tracks))
         cameras = tuple(hinted_camera(name, placed[name], hints.get(name, CameraHint()), self.robot) for name in names)
         things = {track.marker: track for track in tracks}
-        carriers = tuple(_carrier(name, markers[name], len(track.points) > 1) for name, track in things.items())
+        carriers = tuple(_make_carrier(name, markers[name], len(track.points) > 1) for name, track in things.items())
         sights = tuple(
             Sight(
                 f"{track.camera}/{track.marker}",
@@ -235,23 +235,23 @@ _SLIDE = 0.1
 """m per rad: prior std of a prismatic joint's zero over a revolute one's; 5° correspond to 9 mm."""
 
 
-def hinted_camera(name: str, link: str, hint: CameraHint, robot: Robot) -> Camera:
+def hinted_camera(name: str, link: str, hint: CameraHint, robot: Robot) -> RigCamera:
     """The camera on a link, with what the log says of its pose and lens, and how sure that is."""
     width, height = hint.size or hint.extent or (640, 480)
-    numbers, known = (lens(width, width, height), FREE_LENS) if hint.lens is None else (hint.lens, INFO_LENS)
+    numbers, known = (lens_without_distortion(width, width, height), FREE_LENS) if hint.lens is None else (hint.lens, INFO_LENS)
     if hint.lens_std is not None:
         known = hint.lens_std
     pose = hint.pose if hint.link == link else None
     if pose is not None:
-        anchor, doubt = inverse(pose), TF_POSE if hint.pose_std is None else hint.pose_std
+        anchor, doubt = invert_transform(pose), TF_POSE if hint.pose_std is None else hint.pose_std
     elif is_optical(link):
         anchor, doubt = np.eye(4), FRAME_POSE
     else:
         anchor, doubt = np.eye(4), np.full(6, ANYWHERE)
     given = hint.lens is not None and hint.lens_std is None
     scale = 1.0 if given else np.array([1.0, 1.0, width / 640, width / 640, 1.0, 1.0])
-    return Camera(f"camera {name}".strip(), link, anchor, numbers, np.concatenate([doubt, known * scale]))
+    return RigCamera(f"camera {name}".strip(), link, anchor, numbers, np.concatenate([doubt, known * scale]))
 
 
-def _carrier(name: str, link: str, rigid: bool) -> Carrier:
+def _make_carrier(name: str, link: str, rigid: bool) -> Carrier:
     return Carrier(name, link, np.eye(4), np.full(6, ANYWHERE) if rigid else np.full(3, MARKER))

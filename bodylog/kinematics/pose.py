@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..types import Array
-from .chain import Chain, between
+from .chain import Chain, chain_between
 from .links import Space
 from .rig import Rig
 from .robot import Robot
-from .rotations import inverse, logarithm
+from .rotations import invert_transform, vector_from_rotation
 
 _STEP = 1e-6
 
@@ -29,7 +29,7 @@ class Base:
     camera: bool = False
 
 
-def based(robot: Robot, rig: Rig, theta: Array, still: Mapping[str, float]) -> Base | None:
+def find_base(robot: Robot, rig: Rig, theta: Array, still: Mapping[str, float]) -> Base | None:
     """Find the chain from the root to the rig's marker or camera; None where neither moves.
 
     theta (P,): the rig's unknowns · still: angles, rad or m, of joints that did not move.
@@ -39,18 +39,18 @@ def based(robot: Robot, rig: Rig, theta: Array, still: Mapping[str, float]) -> B
         chain = space.chain(robot.root, link)
         if len(chain.column):
             place = rig.carrier_pose(0, theta)[:3, 3]
-            tool, name = (np.eye(4), link) if camera else _tool(robot, link, place, rig.joints, still)
+            tool, name = (np.eye(4), link) if camera else _nearest_tool_frame(robot, link, place, rig.joints, still)
             return Base(chain, tool, name, camera)
     return None
 
 
-def _tool(
+def _nearest_tool_frame(
     robot: Robot, link: str, place: Array, moving: Sequence[str], still: Mapping[str, float]
 ) -> tuple[Array, str]:
     """The end frame fixed to a link that is nearest to a place (3,) m on it, and its name."""
     found = []
     for name in robot.links:
-        chain = between(robot, link, name)
+        chain = chain_between(robot, link, name)
         if not set(chain.joints) & set(moving):
             held = chain.holding({joint: still.get(joint, 0.0) for joint in chain.joints})
             found.append((held.fixed[0], name))
@@ -59,7 +59,7 @@ def _tool(
     return min(ends, key=lambda one: float(np.linalg.norm(one[0][:3, 3] - place)))
 
 
-def posed(base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov: Array) -> tuple[Array, Array, Array]:
+def pose_in_base(base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov: Array) -> tuple[Array, Array, Array]:
     """Place (N,3) m, rotation (N,3,3) and covariance (N,6,6) of the thing in the robot's base.
 
     At angles q (N,M) ± cov (N,M,M), rad or m, for unknowns theta (P,) with covariance root rootᵀ. The covariance is of
@@ -87,20 +87,20 @@ def posed(base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov: Array)
 
 def _on_link(base: Base, rig: Rig, theta: Array) -> tuple[Array, Array]:
     """The thing's pose (4,4) on its link and its derivatives (6,P) by θ: place, m, and rotation in the link."""
-    found = _thing(base, rig, theta)
+    found = _place_thing_on_link(base, rig, theta)
     by, part = np.zeros((6, len(theta))), rig.of_camera(0) if base.camera else rig.of_carrier(0)
     for k in range(part.start, part.start + 6 if base.camera else part.stop):
         step = _STEP * (np.arange(len(theta)) == k)
-        above, below = _thing(base, rig, theta + step), _thing(base, rig, theta - step)
+        above, below = _place_thing_on_link(base, rig, theta + step), _place_thing_on_link(base, rig, theta - step)
         by[:3, k] = (above[:3, 3] - below[:3, 3]) / (2.0 * _STEP)
-        by[3:, k] = logarithm(above[:3, :3] @ below[:3, :3].T) / (2.0 * _STEP)
+        by[3:, k] = vector_from_rotation(above[:3, :3] @ below[:3, :3].T) / (2.0 * _STEP)
     return found, by
 
 
-def _thing(base: Base, rig: Rig, theta: Array) -> Array:
+def _place_thing_on_link(base: Base, rig: Rig, theta: Array) -> Array:
     """The camera's optical frame or the marker on its link (4,4); a point has the tool's orientation."""
     if base.camera:
-        return inverse(rig.camera_pose(0, theta))
+        return invert_transform(rig.camera_pose(0, theta))
     pose = rig.carrier_pose(0, theta)
     if not rig.carriers[0].turns:
         pose = pose.copy()

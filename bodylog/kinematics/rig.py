@@ -6,13 +6,13 @@ from functools import cached_property
 import numpy as np
 
 from ..types import Array
-from .camera import project
+from .camera import project_points
 from .chain import Chain
-from .rotations import exponential, left_jacobian, skew, transform
+from .rotations import rotation_from_vector, left_jacobian, cross_product_matrix, make_transform
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class RigCamera:
     """A camera on a link: anchor (4,4), the link in the camera, m · lens (6,), prior mean · doubt (12,): prior std of
     both.
 
@@ -77,7 +77,7 @@ class Rig:
     lenses: the camera whose lens each camera has, itself if empty; a camera that moved between logs keeps its lens.
     """
 
-    cameras: tuple[Camera, ...]
+    cameras: tuple[RigCamera, ...]
     carriers: tuple[Carrier, ...]
     sights: tuple[Sight, ...]
     joints: tuple[str, ...]
@@ -128,18 +128,18 @@ class Rig:
         scales = theta[self.of_scales]
         return 1.0 + scales if len(scales) else np.ones(len(self.joints))
 
-    def see(self, sight: Sight, theta: Array, q: Array, log: Array | None = None) -> "Seen":
+    def see(self, sight: Sight, theta: Array, q: Array, log: Array | None = None) -> "RigPrediction":
         """Predict a sight at joint readings q (N,M), rad or m, for unknowns theta (P,).
 
         log (N,): the log of each row, for a sight that differs between logs; without it, that of its own camera and
         marker.
         """
         if log is None or not sight.by_log:
-            return _see(self, sight, theta, q)
-        seen = _see(self, sight, theta, q)
+            return _predict_sight(self, sight, theta, q)
+        seen = _predict_sight(self, sight, theta, q)
         for number in np.unique(log):
             rows = np.flatnonzero(log == number)
-            part = _see(self, sight.in_log(int(number)), theta, q[rows])
+            part = _predict_sight(self, sight.in_log(int(number)), theta, q[rows])
             for name in ("image", "slope", "design", "stretch"):
                 getattr(seen, name)[rows] = getattr(part, name)
         return seen
@@ -167,15 +167,15 @@ class Rig:
 
     def camera_pose(self, index: int, theta: Array) -> Array:
         """The camera's link in the camera (4,4), m."""
-        return np.asarray(_moved(theta[self.of_camera(index)][:6]) @ self.cameras[index].anchor)
+        return np.asarray(_transform_of_unknowns(theta[self.of_camera(index)][:6]) @ self.cameras[index].anchor)
 
     def carrier_pose(self, index: int, theta: Array) -> Array:
         """The marker in its link (4,4), m."""
-        return np.asarray(_moved(theta[self.of_carrier(index)]) @ self.carriers[index].anchor)
+        return np.asarray(_transform_of_unknowns(theta[self.of_carrier(index)]) @ self.carriers[index].anchor)
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class RigPrediction:
     """image (N,C,2) px · slope (N,C,2,M) by the joints, px per rad or m · design (N,C,2,P) by θ.
 
     stretch (N,C,2,K−1) px: by the lengths between the chain's steps, each in shares of itself.
@@ -187,22 +187,22 @@ class Seen:
     stretch: Array
 
 
-def _moved(unknowns: Array) -> Array:
+def _transform_of_unknowns(unknowns: Array) -> Array:
     turn = unknowns[3:] if len(unknowns) == 6 else np.zeros(3)
-    return transform(exponential(turn), unknowns[:3])
+    return make_transform(rotation_from_vector(turn), unknowns[:3])
 
 
-def _see(rig: Rig, sight: Sight, theta: Array, q: Array) -> Seen:
+def _predict_sight(rig: Rig, sight: Sight, theta: Array, q: Array) -> RigPrediction:
     camera, carrier = rig.cameras[sight.camera], rig.carriers[sight.carrier]
     own, lens = theta[rig.of_camera(sight.camera)][:6], theta[rig.of_lens(sight.camera)]
     mine = theta[rig.of_carrier(sight.carrier)]
     poses = sight.chain.at(rig.angles(theta, q))
-    marker, by_marker = _shifted(sight.points @ carrier.anchor[:3, :3].T + carrier.anchor[:3, 3], mine)
+    marker, by_marker = _shift_points(sight.points @ carrier.anchor[:3, :3].T + carrier.anchor[:3, 3], mine)
     linked = marker @ poses.rotation.transpose(0, 2, 1) + poses.place[:, None]
     placed = linked @ camera.anchor[:3, :3].T + camera.anchor[:3, 3]
-    inside, by_pose = _shifted(placed, own)
-    image, by_point, by_lens = project(inside, lens)
-    turn = by_point @ (exponential(own[3:]) @ camera.anchor[:3, :3])
+    inside, by_pose = _shift_points(placed, own)
+    image, by_point, by_lens = project_points(inside, lens)
+    turn = by_point @ (rotation_from_vector(own[3:]) @ camera.anchor[:3, :3])
     by_angle = turn @ sight.chain.slopes(poses, linked)
     design = np.zeros((*image.shape, len(theta)))
     design[..., rig.of_camera(sight.camera)][..., :6] = by_point @ by_pose
@@ -212,14 +212,14 @@ def _see(rig: Rig, sight: Sight, theta: Array, q: Array) -> Seen:
     if len(rig.scale_doubt):
         design[..., rig.of_scales] = by_angle * q[:, None, None]
     slope = by_angle * rig.gain(theta)
-    return Seen(image, slope, design, turn @ poses.strides.transpose(0, 2, 1)[:, None])
+    return RigPrediction(image, slope, design, turn @ poses.strides.transpose(0, 2, 1)[:, None])
 
 
-def _shifted(points: Array, unknowns: Array) -> tuple[Array, Array]:
+def _shift_points(points: Array, unknowns: Array) -> tuple[Array, Array]:
     """exp(w) p + v of points (…,3), and its derivatives (…,3,3) by v or (…,3,6) by v and w."""
     by_place = np.broadcast_to(np.eye(3), (*points.shape, 3))
     if len(unknowns) == 3:
         return points + unknowns, by_place
-    turned = points @ exponential(unknowns[3:]).T
-    by_turn = -skew(turned) @ left_jacobian(unknowns[3:])
+    turned = points @ rotation_from_vector(unknowns[3:]).T
+    by_turn = -cross_product_matrix(turned) @ left_jacobian(unknowns[3:])
     return turned + unknowns[:3], np.concatenate([by_place, by_turn], axis=-1)

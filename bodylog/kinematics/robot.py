@@ -103,7 +103,7 @@ class Robot:
         return order
 
 
-def problems(robot: Robot) -> Iterator[str]:
+def find_tree_problems(robot: Robot) -> Iterator[str]:
     """Yield the reasons why links and joints are not one tree."""
     links = set(robot.links)
     if not links:
@@ -116,11 +116,11 @@ def problems(robot: Robot) -> Iterator[str]:
         for end in (joint.parent, joint.child):
             if end not in links:
                 yield f"joint {joint.name!r} leads to link {end!r}, which is not declared"
-    yield from _loops(robot)
-    yield from _followers(robot)
+    yield from _find_loops(robot)
+    yield from _find_mimic_problems(robot)
 
 
-def _loops(robot: Robot) -> Iterator[str]:
+def _find_loops(robot: Robot) -> Iterator[str]:
     parents: dict[str, str] = {}
     for joint in robot.joints:
         if joint.child in parents:
@@ -143,7 +143,7 @@ def _loops(robot: Robot) -> Iterator[str]:
         yield f"links {', '.join(roots[:5])} hang on no joint; possible: one such link, the base"
 
 
-def _followers(robot: Robot) -> Iterator[str]:
+def _find_mimic_problems(robot: Robot) -> Iterator[str]:
     sound: set[str] = set()
     for joint in robot.joints:
         path = {joint.name}
@@ -164,7 +164,7 @@ def is_optical(link: str) -> bool:
     return "optical" in link
 
 
-def implausible(robot: Robot) -> str | None:
+def reason_implausible(robot: Robot) -> str | None:
     """Why a robot cannot be real, or None: all its joints coincide, or lie kilometres apart."""
     lengths = [float(np.linalg.norm(joint.origin[:3, 3])) for joint in robot.joints]
     slides = any(joint.kind == "prismatic" for joint in robot.joints)

@@ -7,7 +7,7 @@ from ..types import Array
 _SMALL = 1e-4
 
 
-def skew(v: Array) -> Array:
+def cross_product_matrix(v: Array) -> Array:
     """Cross-product matrices (…,3,3) of vectors (…,3)."""
     zero = np.zeros(v.shape[:-1])
     x, y, z = v[..., 0], v[..., 1], v[..., 2]
@@ -15,10 +15,10 @@ def skew(v: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def exponential(w: Array) -> Array:
+def rotation_from_vector(w: Array) -> Array:
     """Rotation (3,3) by the vector w (3,), rad (Rodrigues)."""
     angle = float(np.linalg.norm(w))
-    cross = skew(w)
+    cross = cross_product_matrix(w)
     if angle < _SMALL:
         return np.asarray(np.eye(3) + cross + 0.5 * cross @ cross)
     return np.asarray(np.eye(3) + np.sin(angle) / angle * cross + (1 - np.cos(angle)) / angle**2 * cross @ cross)
@@ -27,14 +27,14 @@ def exponential(w: Array) -> Array:
 def left_jacobian(w: Array) -> Array:
     """J (3,3) with exp(w + dw) = exp(J dw) exp(w) to first order."""
     angle = float(np.linalg.norm(w))
-    cross = skew(w)
+    cross = cross_product_matrix(w)
     if angle < _SMALL:
         return np.asarray(np.eye(3) + 0.5 * cross + cross @ cross / 6.0)
     first, second = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
     return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
 
 
-def logarithm(rotation: Array) -> Array:
+def vector_from_rotation(rotation: Array) -> Array:
     """The vector (3,), rad, of a rotation (3,3); its length is at most π."""
     # the largest eigenvector is the quaternion (Bar-Itzhack 2000), which is stable near π, too
     r = rotation
@@ -51,19 +51,19 @@ def logarithm(rotation: Array) -> Array:
     return np.asarray(vector / length * 2.0 * np.arctan2(length, scalar))
 
 
-def nearest(matrix: Array) -> Array:
+def nearest_rotation(matrix: Array) -> Array:
     """The rotation (3,3) nearest to a matrix."""
     u, _, vt = np.linalg.svd(matrix)
     return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
 
 
-def from_rpy(rpy: Array) -> Array:
+def rotation_from_rpy(rpy: Array) -> Array:
     """Rotation (3,3) of URDF's roll, pitch, yaw (3,), rad: about the fixed x, y, then z axis."""
-    x, y, z = (exponential(np.eye(3)[k] * rpy[k]) for k in range(3))
+    x, y, z = (rotation_from_vector(np.eye(3)[k] * rpy[k]) for k in range(3))
     return np.asarray(z @ y @ x)
 
 
-def to_rpy(rotation: Array) -> Array:
+def rpy_from_rotation(rotation: Array) -> Array:
     """Roll, pitch, yaw (3,), rad, of a rotation (3,3)."""
     pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
     if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:  # gimbal lock: yaw is zero
@@ -71,27 +71,27 @@ def to_rpy(rotation: Array) -> Array:
     return np.array([np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])
 
 
-def from_z(axis: Array) -> Array:
+def rotation_from_z(axis: Array) -> Array:
     """A rotation (3,3) that turns the z axis into the unit vector `axis` (3,)."""
     if abs(axis[2]) > 1.0 - 1e-15:
         return np.eye(3) if axis[2] > 0 else np.diag([1.0, -1.0, -1.0])
     cross = np.cross([0.0, 0.0, 1.0], axis)
-    return exponential(cross / np.linalg.norm(cross) * np.arctan2(np.linalg.norm(cross), axis[2]))
+    return rotation_from_vector(cross / np.linalg.norm(cross) * np.arctan2(np.linalg.norm(cross), axis[2]))
 
 
-def transform(rotation: Array, place: Array) -> Array:
+def make_transform(rotation: Array, place: Array) -> Array:
     """The homogeneous matrix (4,4) of a rotation (3,3) and a translation (3,)."""
     result = np.eye(4)
     result[:3, :3], result[:3, 3] = rotation, place
     return result
 
 
-def inverse(pose: Array) -> Array:
+def invert_transform(pose: Array) -> Array:
     """The inverse of a homogeneous matrix (4,4)."""
-    return transform(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
+    return make_transform(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
 
 
-def quaternions(rotation: Array) -> Array:
+def quaternions_from_rotations(rotation: Array) -> Array:
     """Unit quaternions x, y, z, w (N,4) of rotations (N,3,3), w not negative."""
     r = rotation
     trace = np.einsum("nii->n", r)

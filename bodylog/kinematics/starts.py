@@ -7,8 +7,8 @@ import numpy as np
 
 from ..types import Array
 from .calibration import Sighted
-from .rig import Camera, Rig
-from .rotations import inverse, logarithm, nearest, transform
+from .rig import RigCamera, Rig
+from .rotations import invert_transform, vector_from_rotation, nearest_rotation, make_transform
 
 _STEP = 0.1
 """m: step from the link's frame at which marker positions are tried."""
@@ -19,27 +19,27 @@ _FARTHEST = 50.0
 """m: largest distance of a marker."""
 
 
-def starts(rig: Rig, data: Sequence[Sighted]) -> tuple[Rig, list[Array]]:
+def find_starts(rig: Rig, data: Sequence[Sighted]) -> tuple[Rig, list[Array]]:
     """Return the rig, with unknown poses anchored near a solution where one is found, and first values of θ (P,)."""
     for index, camera in enumerate(rig.cameras):
-        boards = [k for k in _before(rig, index) if rig.carriers[rig.sights[k].carrier].turns]
+        boards = [k for k in _sights_of_camera(rig, index) if rig.carriers[rig.sights[k].carrier].turns]
         if boards and camera.doubt[3:6].max() >= _KNOWN:
-            known = {rig.sights[k].carrier for before in range(index) for k in _before(rig, before)}
+            known = {rig.sights[k].carrier for before in range(index) for k in _sights_of_camera(rig, before)}
             placed = [k for k in boards if rig.sights[k].carrier in known]
-            rig = _beside(rig, data, placed[0]) if placed else _aligned(rig, data, boards[0])
-    first = list(_places(rig))
+            rig = _place_by_known_board(rig, data, placed[0]) if placed else _align_by_hand_eye(rig, data, boards[0])
+    first = list(_starts_from_prior(rig))
     for index, camera in enumerate(rig.cameras):
-        seen = [k for k in _before(rig, index) if not rig.carriers[rig.sights[k].carrier].turns]
-        if seen and len(seen) == len(_before(rig, index)) and camera.doubt[3:6].max() >= _KNOWN:
-            first = _resected(rig, data, index, first)
+        seen = [k for k in _sights_of_camera(rig, index) if not rig.carriers[rig.sights[k].carrier].turns]
+        if seen and len(seen) == len(_sights_of_camera(rig, index)) and camera.doubt[3:6].max() >= _KNOWN:
+            first = _resect_camera(rig, data, index, first)
     return rig, first
 
 
-def _before(rig: Rig, camera: int) -> list[int]:
+def _sights_of_camera(rig: Rig, camera: int) -> list[int]:
     return [k for k, sight in enumerate(rig.sights) if sight.camera == camera]
 
 
-def _places(rig: Rig) -> Iterator[Array]:
+def _starts_from_prior(rig: Rig) -> Iterator[Array]:
     """Yield θ's prior mean, then θ with the points' places moved a step to each side."""
     mean = rig.prior[0]
     yield mean
@@ -52,32 +52,32 @@ def _places(rig: Rig) -> Iterator[Array]:
             yield moved
 
 
-def _resected(rig: Rig, data: Sequence[Sighted], index: int, first: Sequence[Array]) -> list[Array]:
+def _resect_camera(rig: Rig, data: Sequence[Sighted], index: int, first: Sequence[Array]) -> list[Array]:
     """Each θ with the camera's pose by resection from its own markers."""
     camera, found = rig.cameras[index], []
     for theta in first:
         points, images = [], []
-        for k in _before(rig, index):
+        for k in _sights_of_camera(rig, index):
             sight, one = rig.sights[k], data[k]
             arm, place = sight.chain.at(one.q), rig.carrier_pose(sight.carrier, theta)[:3, 3]
             valid = np.isfinite(one.image[:, 0]).all(axis=1)
             points.append((arm.rotation @ place + arm.place)[valid])
             images.append(one.image[valid, 0])
-        pose = resection(np.concatenate(points), normalised(np.concatenate(images), camera.lens))
+        pose = resect_pose(np.concatenate(points), normalised_directions(np.concatenate(images), camera.lens))
         if pose is not None and np.linalg.norm(pose[:3, 3]) < _FARTHEST:
-            step, there = pose @ inverse(camera.anchor), theta.copy()
-            there[rig.of_camera(index)][:6] = np.concatenate([step[:3, 3], logarithm(step[:3, :3])])
+            step, there = pose @ invert_transform(camera.anchor), theta.copy()
+            there[rig.of_camera(index)][:6] = np.concatenate([step[:3, 3], vector_from_rotation(step[:3, :3])])
             found.append(there)
     return found or list(first)
 
 
-def normalised(image: Array, lens: Array) -> Array:
+def normalised_directions(image: Array, lens: Array) -> Array:
     """Directions x/z, y/z of image points (…,2) px for a lens (6,), without distortion."""
     focal = np.exp(lens[0]) * np.array([1.0, np.exp(lens[1])])
     return np.asarray((image - lens[2:4]) / focal)
 
 
-def resection(points: Array, rays: Array) -> Array | None:
+def resect_pose(points: Array, rays: Array) -> Array | None:
     """The pose (4,4) that projects points (n,3) m to directions (n,2); None for few or coplanar points."""
     centre = points.mean(axis=0)
     size = np.sqrt(np.square(points - centre).sum(axis=1).mean())
@@ -98,11 +98,11 @@ def resection(points: Array, rays: Array) -> Array | None:
     sign = np.sign(np.median(near @ matrix[2])) or 1.0
     turn, place = sign * turn, sign * place
     scale = np.cbrt(max(np.linalg.det(turn), 1e-12))
-    rotation = nearest(turn)
-    return transform(rotation, size * place / scale - rotation @ centre)
+    rotation = nearest_rotation(turn)
+    return make_transform(rotation, size * place / scale - rotation @ centre)
 
 
-def _aligned(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
+def _align_by_hand_eye(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
     """Place camera and board by hand-eye calibration from the board's poses."""
     poses, links = board_poses(rig, data, k)
     if len(poses) < 3:
@@ -111,31 +111,31 @@ def _aligned(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
     sight = rig.sights[k]
     carrier = replace(rig.carriers[sight.carrier], anchor=found[1])
     carriers = tuple(carrier if n == sight.carrier else one for n, one in enumerate(rig.carriers))
-    return _anchored(replace(rig, carriers=carriers), sight.camera, found[0])
+    return _anchor_camera(replace(rig, carriers=carriers), sight.camera, found[0])
 
 
-def _beside(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
+def _place_by_known_board(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
     """Place a further camera by a board that another camera has located."""
     poses, links = board_poses(rig, data, k)
     sight = rig.sights[k]
     if not poses:
         return rig
     board = rig.carriers[sight.carrier].anchor
-    found = [seen @ inverse(link @ board) for seen, link in zip(poses, links, strict=True)]
-    turn = nearest(np.sum([one[:3, :3] for one in found], axis=0))
-    return _anchored(rig, sight.camera, transform(turn, np.median([one[:3, 3] for one in found], axis=0)))
+    found = [seen @ invert_transform(link @ board) for seen, link in zip(poses, links, strict=True)]
+    turn = nearest_rotation(np.sum([one[:3, :3] for one in found], axis=0))
+    return _anchor_camera(rig, sight.camera, make_transform(turn, np.median([one[:3, 3] for one in found], axis=0)))
 
 
 def board_poses(rig: Rig, data: Sequence[Sighted], k: int) -> tuple[list[Array], list[Array]]:
     """The board's pose (4,4) in the camera, and its link's in the camera's link, for each frame that determines it."""
     sight, one = rig.sights[k], data[k]
     camera, arm = rig.cameras[sight.camera], sight.chain.at(one.q)
-    poses = [planar(sight.points, normalised(image, camera.lens)) for image in one.image]
+    poses = [planar_board_pose(sight.points, normalised_directions(image, camera.lens)) for image in one.image]
     rows = [n for n, pose in enumerate(poses) if pose is not None]
-    return [pose for pose in poses if pose is not None], [transform(arm.rotation[n], arm.place[n]) for n in rows]
+    return [pose for pose in poses if pose is not None], [make_transform(arm.rotation[n], arm.place[n]) for n in rows]
 
 
-def planar(points: Array, rays: Array) -> Array | None:
+def planar_board_pose(points: Array, rays: Array) -> Array | None:
     """The pose (4,4) of a planar board with corners (C,3) m at directions (C,2); None where too few are seen."""
     seen = np.isfinite(rays).all(axis=-1)
     if seen.sum() < _CORNERS:
@@ -151,8 +151,8 @@ def planar(points: Array, rays: Array) -> Array | None:
     rows = np.concatenate([np.hstack([near, zero, -rays[:, :1] * near]), np.hstack([zero, near, -rays[:, 1:] * near])])
     columns = np.linalg.svd(rows)[2][-1].reshape(3, 3)
     columns /= np.linalg.norm(columns[:, :2], axis=0).mean() * (np.sign(columns[2, 2]) or 1.0)
-    rotation = nearest(np.column_stack([columns[:, 0], columns[:, 1], np.cross(columns[:, 0], columns[:, 1])]))
-    return transform(rotation @ axes, columns[:, 2] - rotation @ axes @ centre)
+    rotation = nearest_rotation(np.column_stack([columns[:, 0], columns[:, 1], np.cross(columns[:, 0], columns[:, 1])]))
+    return make_transform(rotation @ axes, columns[:, 2] - rotation @ axes @ centre)
 
 
 def hand_eye(boards: Sequence[Array], links: Sequence[Array]) -> tuple[Array, Array]:
@@ -160,19 +160,19 @@ def hand_eye(boards: Sequence[Array], links: Sequence[Array]) -> tuple[Array, Ar
     order = range(len(boards))
     # relative rotation vectors of both sides differ by X's rotation alone
     gaps = [(i, j) for gap in (1, 2, 5) for i in order if (j := i + gap) < len(boards)]
-    seen = np.array([logarithm(boards[i][:3, :3] @ boards[j][:3, :3].T) for i, j in gaps])
-    moved = np.array([logarithm(links[i][:3, :3] @ links[j][:3, :3].T) for i, j in gaps])
-    turn = nearest(seen.T @ moved)
+    seen = np.array([vector_from_rotation(boards[i][:3, :3] @ boards[j][:3, :3].T) for i, j in gaps])
+    moved = np.array([vector_from_rotation(links[i][:3, :3] @ links[j][:3, :3].T) for i, j in gaps])
+    turn = nearest_rotation(seen.T @ moved)
     turns = [(turn @ a[:3, :3]).T @ p[:3, :3] for a, p in zip(links, boards, strict=True)]
-    board = nearest(np.sum(turns, axis=0))
+    board = nearest_rotation(np.sum(turns, axis=0))
     rows = np.concatenate([np.hstack([turn @ a[:3, :3], np.eye(3)]) for a in links])
     right = np.concatenate([p[:3, 3] - turn @ a[:3, 3] for a, p in zip(links, boards, strict=True)])
     places = np.linalg.lstsq(rows, right, rcond=None)[0]
-    return transform(turn, places[3:]), transform(board, places[:3])
+    return make_transform(turn, places[3:]), make_transform(board, places[:3])
 
 
-def _anchored(rig: Rig, index: int, pose: Array) -> Rig:
-    def moved(camera: Camera) -> Camera:
+def _anchor_camera(rig: Rig, index: int, pose: Array) -> Rig:
+    def moved(camera: RigCamera) -> RigCamera:
         return replace(camera, anchor=pose)
 
     return replace(rig, cameras=tuple(moved(c) if n == index else c for n, c in enumerate(rig.cameras)))

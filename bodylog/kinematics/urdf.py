@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import FormatError
-from ..io.atomic_files import text as read_text
+from ..io.atomic_files import read_limited_text as read_text
 from ..logs.limits import LIMITS, Input
 from ..types import Array
-from .robot import MOVING, Joint, Limits, Mimic, Robot, problems
-from .rotations import from_rpy, transform
+from .robot import MOVING, Joint, Limits, Mimic, Robot, find_tree_problems
+from .rotations import rotation_from_rpy, make_transform
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -20,12 +20,12 @@ _MOST_BYTES = 1 << 25
 _DEEPEST = 100
 
 
-def load(path: Path, limits: Input = LIMITS) -> Robot:
+def load_urdf(path: Path, limits: Input = LIMITS) -> Robot:
     """Read a URDF file; FormatError where it is invalid."""
-    return parse(text(path), str(path), limits)
+    return parse_urdf(read_urdf_text(path), str(path), limits)
 
 
-def text(path: Path) -> str:
+def read_urdf_text(path: Path) -> str:
     """Read a URDF's text; FormatError where it cannot be read."""
     try:
         return read_text(path, _MOST_BYTES)
@@ -33,20 +33,20 @@ def text(path: Path) -> str:
         raise FormatError(f"{path}: cannot be read as a URDF ({problem})") from problem
 
 
-def parse(xml: str, source: str, limits: Input = LIMITS) -> Robot:
+def parse_urdf(xml: str, source: str, limits: Input = LIMITS) -> Robot:
     """Parse a URDF's text; FormatError, beginning with `source`, where it is invalid or has too many joints."""
-    root = element(xml, source)
+    root = parse_xml_root(xml, source)
     if root.tag != "robot":
         raise FormatError(f"{source}: the XML begins with <{root.tag[:40]}>; a URDF begins with <robot>")
     if any("xacro" in str(child.tag) for child in root):
         raise FormatError(f"{source}: holds xacro commands; type: xacro {source} > robot.urdf")
-    links = tuple(_name(link, "link", source) for link in root.findall("link"))
+    links = tuple(_require_name(link, "link", source) for link in root.findall("link"))
     elements = [one for one in root.findall("joint") if "type" in one.attrib or one.find("parent") is not None]
     if len(elements) > limits.max_joints:
         asked = f"to read them, type in robot.toml: [input] max_joints = {len(elements)}"
         raise FormatError(f"{source}: {len(elements)} joints, at most {limits.max_joints} are read; {asked}")
-    robot = Robot(root.get("name", ""), links, tuple(_joint(one, source) for one in elements), source)
-    for problem in problems(robot):
+    robot = Robot(root.get("name", ""), links, tuple(_parse_joint(one, source) for one in elements), source)
+    for problem in find_tree_problems(robot):
         raise FormatError(f"{source}: {problem}")
     return robot
 
@@ -55,14 +55,14 @@ def kinematic_text(xml: str) -> str:
     """A sound URDF's text with the names of its links and its joints alone, without shapes and masses."""
     from xml.etree.ElementTree import Element, tostring
 
-    whole = element(xml, "URDF")
+    whole = parse_xml_root(xml, "URDF")
     kept = Element("robot", {"name": whole.get("name", "")})
     kept.extend(Element("link", {"name": link.get("name", "")}) for link in whole.findall("link"))
     kept.extend(one for one in whole.findall("joint") if "type" in one.attrib or one.find("parent") is not None)
     return tostring(kept, encoding="unicode")
 
 
-def element(xml: str, source: str) -> "Element":
+def parse_xml_root(xml: str, source: str) -> "Element":
     """Parse XML to its root element; entities, which may grow without bound or read files, are refused."""
     from xml.etree.ElementTree import TreeBuilder
     from xml.parsers import expat
@@ -90,39 +90,39 @@ def element(xml: str, source: str) -> "Element":
     return builder.close()
 
 
-def _joint(element: "Element", source: str) -> Joint:
-    name = _name(element, "joint", source)
+def _parse_joint(element: "Element", source: str) -> Joint:
+    name = _require_name(element, "joint", source)
     where, kind = f"{source}: joint {name!r}", element.get("type", "")
     if kind not in KINDS:
         raise FormatError(f"{where}: type is {kind!r}; possible: {', '.join(KINDS)}")
-    parent, child = (_attribute(element, end, "link", where) for end in ("parent", "child"))
+    parent, child = (_require_attribute(element, end, "link", where) for end in ("parent", "child"))
     origin = element.find("origin")
-    xyz, rpy = (np.zeros(3) if origin is None else _numbers(origin, key, "0 0 0", where) for key in ("xyz", "rpy"))
-    axis = _axis(element, kind, where)
-    pose, limits = transform(from_rpy(rpy), xyz), _limits(element, kind)
-    return Joint(name, kind, parent, child, pose, axis, _mimic(element, where), limits)
+    xyz, rpy = (np.zeros(3) if origin is None else _parse_number_list(origin, key, "0 0 0", where) for key in ("xyz", "rpy"))
+    axis = _parse_axis(element, kind, where)
+    pose, limits = make_transform(rotation_from_rpy(rpy), xyz), _parse_limits(element, kind)
+    return Joint(name, kind, parent, child, pose, axis, _parse_mimic(element, where), limits)
 
 
-def _axis(element: "Element", kind: str, where: str) -> Array:
+def _parse_axis(element: "Element", kind: str, where: str) -> Array:
     axis = element.find("axis")
     if axis is None or kind not in MOVING:
         return np.array([1.0, 0.0, 0.0])
-    found = _numbers(axis, "xyz", "1 0 0", where)
+    found = _parse_number_list(axis, "xyz", "1 0 0", where)
     length = float(np.linalg.norm(found))
     if not 1e-9 < length < 1e9:
         raise FormatError(f"{where}: axis is {axis.get('xyz')!r}, of length zero; possible: a direction as 0 0 1")
     return found / length
 
 
-def _mimic(element: "Element", where: str) -> Mimic | None:
+def _parse_mimic(element: "Element", where: str) -> Mimic | None:
     found = element.find("mimic")
     if found is None:
         return None
-    factor, offset = (_numbers(found, key, default, where, 1)[0] for key, default in _FOLLOWS.items())
+    factor, offset = (_parse_number_list(found, key, default, where, 1)[0] for key, default in _FOLLOWS.items())
     return Mimic(found.get("joint", ""), float(factor), float(offset))
 
 
-def _limits(element: "Element", kind: str) -> Limits | None:
+def _parse_limits(element: "Element", kind: str) -> Limits | None:
     """A joint's limits; None where they are missing or invalid, which is no error."""
     found = element.find("limit")
     if found is None or kind not in LIMITED:
@@ -143,7 +143,7 @@ LIMITED = {"revolute": "rad", "prismatic": "m"}
 _FOLLOWS = {"multiplier": "1", "offset": "0"}
 
 
-def _numbers(element: "Element", key: str, default: str, where: str, count: int = 3) -> Array:
+def _parse_number_list(element: "Element", key: str, default: str, where: str, count: int = 3) -> Array:
     text = element.get(key, default)
     try:
         values = np.array([float(part) for part in text.split()])
@@ -155,14 +155,14 @@ def _numbers(element: "Element", key: str, default: str, where: str, count: int 
     return values
 
 
-def _name(element: "Element", kind: str, source: str) -> str:
+def _require_name(element: "Element", kind: str, source: str) -> str:
     name = element.get("name", "")
     if not name:
         raise FormatError(f"{source}: a <{kind}> has no name")
     return name
 
 
-def _attribute(element: "Element", child: str, key: str, where: str) -> str:
+def _require_attribute(element: "Element", child: str, key: str, where: str) -> str:
     found = element.find(child)
     value = "" if found is None else found.get(key, "")
     if not value:

@@ -44,20 +44,20 @@ def read(path: str | Path, fields: Mapping[str, Sequence[str]]) -> "dict[str, Ta
 
 def examine(path: str | Path) -> "tuple[Finding, ...]":
     """Read a log from end to end and return everything that is wrong with it."""
-    from .conversion.examination import examine
+    from .conversion.examination import examine_log_file
     from .library import findings_about, local_path
 
     with local_path(path) as here:
-        return findings_about(examine(here), here, path)
+        return findings_about(examine_log_file(here), here, path)
 
 
 def repair(path: str | Path, out: str | Path) -> "tuple[Finding, ...]":
     """Write the sound messages of a log to the MCAP `out`; return what is wrong with the log."""
-    from .conversion.rewrite import repair
+    from .conversion.rewrite import rewrite_sound_messages
     from .library import findings_about, local_path
 
     with local_path(path) as here:
-        return findings_about(repair(here, Path(out)), here, path)
+        return findings_about(rewrite_sound_messages(here, Path(out)), here, path)
 
 
 def convert(
@@ -69,11 +69,11 @@ def convert(
     topics: only these · start, end: only messages logged between them, s since the log's start. `bodylog.convert`
     writes datasets.
     """
-    from .conversion.extract import convert
+    from .conversion.extract import convert_to_mcap
     from .library import findings_about, local_path
 
     with local_path(path) as here:
-        return findings_about(convert(here, Path(out), topics, start, end), here, path)
+        return findings_about(convert_to_mcap(here, Path(out), topics, start, end), here, path)
 
 
 def __getattr__(name: str) -> Any:

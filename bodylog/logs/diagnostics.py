@@ -58,15 +58,15 @@ class Diagnostics:
         texts = self._losses_text(losses if len(losses) <= _SHOWN else losses[: _SHOWN - 1])
         if len(losses) > _SHOWN:
             rest = losses[_SHOWN - 1 :]
-            texts.append(f"{len(rest)} more places are lost: {_amount(rest)}")
+            texts.append(f"{len(rest)} more places are lost: {_describe_loss_amount(rest)}")
         return (*self._remarks.values(), *(Finding("lost", f"{self.path}: {text}") for text in texts))
 
     @staticmethod
     def _losses_text(losses: list[_Loss]) -> list[str]:
-        return [f"from byte {max(0, loss[0])} {_amount([loss])} lost: {loss[4]}" for loss in losses]
+        return [f"from byte {max(0, loss[0])} {_describe_loss_amount([loss])} lost: {loss[4]}" for loss in losses]
 
 
-def _amount(losses: list[_Loss]) -> str:
+def _describe_loss_amount(losses: list[_Loss]) -> str:
     messages = [loss[2] for loss in losses if loss[2] is not None]
     seconds = [loss[3] for loss in losses if loss[3] is not None]
     count = f"{sum(messages)} messages" if len(messages) == len(losses) else "an unknown number of messages"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ..errors import BodylogError
 from ..io import episodes
-from ..io.atomic_files import sha256
+from ..io.atomic_files import hash_files
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
@@ -12,17 +12,17 @@ def files_of(path: Path) -> tuple[Path, ...]:
 
     A dataset that cannot be read gives its own path.
     """
-    base, number = episodes.split(path)
+    base, number = episodes.split_episode_name(path)
     if not base.is_dir():
         return (base,)
     from .datasets import kinds
 
     try:
-        return kinds.files(base, number) or (base,)
+        return kinds.episode_files(base, number) or (base,)
     except BodylogError:
         return (base,)
 
 
-def digest(path: Path) -> str:
+def hash_log(path: Path) -> str:
     """Hex SHA-256 of a log; for an episode, of its files in order."""
-    return sha256(*files_of(path))
+    return hash_files(*files_of(path))

@@ -28,41 +28,41 @@ def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
 
     `limits`: how much compressed data may expand to.
     """
-    place = episodes.base(path)
+    place = episodes.dataset_path(path)
     if not place.exists():
         raise LogError(f"{path}: there is no such file or folder; check the name")
     try:
         if place.is_dir():
-            return _folder(path, strict, limits)
+            return _open_folder(path, strict, limits)
         require_regular(place)
         with place.open("rb") as stream:
             first = stream.read(32)
         if place != path or first.startswith(_HDF5) or first[4:8] == _MP4 or place.suffix.lower() in VIDEOS:
-            return _episode(path, first, strict, limits)
+            return _open_episode_file(path, first, strict, limits)
         if is_packed(first):
-            return unpack_file(path, lambda inner: _opened(path, strict, inner, limits), limits, partial(_opener, path))
-        return _opened(path, strict, path, limits)
+            return unpack_file(path, lambda inner: _open_local_log(path, strict, inner, limits), limits, partial(_choose_opener, path))
+        return _open_local_log(path, strict, path, limits)
     except OSError as problem:
         raise LogError(f"{path}: it cannot be read: {problem.strerror or problem}") from None
 
 
-def _opened(path: Path, strict: bool, source: Path, limits: Input) -> Log:
+def _open_local_log(path: Path, strict: bool, source: Path, limits: Input) -> Log:
     with source.open("rb") as stream:
         first = stream.read(32)
-    return _opener(path, first)(path, strict, source, limits)
+    return _choose_opener(path, first)(path, strict, source, limits)
 
 
-def _opener(path: Path, first: bytes) -> "Opener":
+def _choose_opener(path: Path, first: bytes) -> "Opener":
     """The reader for a log that begins with these bytes; LogError for other files."""
     for magic, opener in FORMATS.items():
         if first.startswith(magic):
             return opener
-    from .tables.table_file import kind
+    from .tables.table_file import table_format
 
-    if first and not first.startswith(_LFS) and kind(path):
-        return _poses
+    if first and not first.startswith(_LFS) and table_format(path):
+        return _open_pose_table
     known = "logs are .mcap, .bag, .db3 or a rosbag2 folder; datasets; tables of poses .csv, .parquet, .yaml"
-    raise LogError(f"{path}: {_describe(first)}; {known}")
+    raise LogError(f"{path}: {_describe_file(first)}; {known}")
 
 
 def without_images(log: Log) -> "Source":
@@ -81,13 +81,13 @@ class _Heads(NamedTuple):
         return self.heads(ids)
 
 
-def payloads(batch: Batch) -> Iterator[memoryview]:
+def payload_views(batch: Batch) -> Iterator[memoryview]:
     """The payload of each message of a batch as a view, valid as long as the batch."""
     data, ends = batch.data.data, batch.offset + batch.length
     return (data[start:end] for start, end in zip(batch.offset.tolist(), ends.tolist(), strict=True))
 
 
-def _describe(first: bytes) -> str:
+def _describe_file(first: bytes) -> str:
     if not first:
         return "the file is empty"
     if first.startswith(_LFS):
@@ -100,31 +100,31 @@ def _describe(first: bytes) -> str:
     return f"not a log: it begins with {first[:12]!r}"
 
 
-def _mcap(path: Path, strict: bool, source: Path, limits: Input) -> Log:
+def _open_mcap(path: Path, strict: bool, source: Path, limits: Input) -> Log:
     from .mcap.reader import McapLog
 
     return McapLog(path, strict, source, limits)
 
 
-def _bag(path: Path, strict: bool, source: Path, limits: Input) -> Log:
+def _open_bag(path: Path, strict: bool, source: Path, limits: Input) -> Log:
     from .rosbag1.reader import BagLog
 
     return BagLog(path, strict, source, limits)
 
 
-def _db3(path: Path, strict: bool, source: Path, limits: Input) -> Log:
+def _open_db3(path: Path, strict: bool, source: Path, limits: Input) -> Log:
     from .rosbag2.sqlite3 import Db3Log
 
     return Db3Log(path, strict, source, limits)
 
 
-def _poses(path: Path, strict: bool, source: Path, limits: Input) -> Log:
+def _open_pose_table(path: Path, strict: bool, source: Path, limits: Input) -> Log:
     from .tables.pose_log import PoseLog
 
     return PoseLog(path, strict, source, limits)
 
 
-def _episode(path: Path, first: bytes, strict: bool, limits: Input) -> Log:
+def _open_episode_file(path: Path, first: bytes, strict: bool, limits: Input) -> Log:
     """Open a file of episodes, or a video."""
     from .datasets import kinds
 
@@ -132,30 +132,30 @@ def _episode(path: Path, first: bytes, strict: bool, limits: Input) -> Log:
     if opener is None:
         what = (
             "is not a dataset, so it has no episodes; leave out the #"
-            if episodes.base(path) != path
+            if episodes.dataset_path(path) != path
             else "is not a video"
         )
-        raise LogError(f"{path}: {episodes.base(path)} {what}")
+        raise LogError(f"{path}: {episodes.dataset_path(path)} {what}")
     return opener(path, strict, limits)
 
 
-def _folder(path: Path, strict: bool, limits: Input) -> Log:
+def _open_folder(path: Path, strict: bool, limits: Input) -> Log:
     """Open a dataset's folder, else a rosbag2 folder."""
     from .datasets import kinds
 
-    opener = kinds.of_folder(episodes.base(path))
+    opener = kinds.of_folder(episodes.dataset_path(path))
     if opener is not None:
         return opener(path, strict, limits)
-    if episodes.base(path) != path:
-        raise LogError(f"{path}: {episodes.base(path)} is not a dataset, so it has no episodes; leave out the #")
-    return _rosbag2(path, strict, limits)
+    if episodes.dataset_path(path) != path:
+        raise LogError(f"{path}: {episodes.dataset_path(path)} is not a dataset, so it has no episodes; leave out the #")
+    return _open_rosbag2(path, strict, limits)
 
 
-def _rosbag2(path: Path, strict: bool, limits: Input) -> Log:
+def _open_rosbag2(path: Path, strict: bool, limits: Input) -> Log:
     from .rosbag2.folder import Rosbag2Log
 
     return Rosbag2Log(path, strict, limits, open_log)
 
 
-FORMATS: Mapping[bytes, Opener] = {MAGIC: _mcap, b"#ROSBAG V2.0": _bag, b"SQLite format 3\x00": _db3, b"PAR1": _poses}
+FORMATS: Mapping[bytes, Opener] = {MAGIC: _open_mcap, b"#ROSBAG V2.0": _open_bag, b"SQLite format 3\x00": _open_db3, b"PAR1": _open_pose_table}
 """First bytes of a file -> function that opens it."""

@@ -14,7 +14,7 @@ _RAD = {"rad": 1.0, "deg": math.pi / 180.0}
 _COUNTS = re.compile(r"([0-9]{1,9}(?:\.[0-9]{1,9})?) counts(?: from (-?[0-9]{1,12}(?:\.[0-9]{1,9})?))?")
 
 
-def counts(unit: str) -> tuple[float, float] | None:
+def parse_count_unit(unit: str) -> tuple[float, float] | None:
     """Counts per turn and the count at 0 rad of a [body] unit; None for any other unit."""
     found = _COUNTS.fullmatch(unit)
     turn, zero = (0.0, 0.0) if found is None else (float(found[1]), float(found[2] or 0.0))
@@ -37,20 +37,20 @@ class JointUnit(NamedTuple):
 
 def joint_unit(about: Mapping[str, str], settings_unit: str) -> JointUnit:
     """The joints' unit from their topic's metadata; `settings_unit` if these name none, or deg for an unknown one."""
-    read, given = about.get(UNIT, settings_unit), counts(settings_unit)
+    read, given = about.get(UNIT, settings_unit), parse_count_unit(settings_unit)
     if given is not None and read not in _RAD:
         return JointUnit("counts", 2.0 * math.pi / given[0], "rad", 2.0 * math.pi, given[1])
     if read == "unknown" and settings_unit == "deg":
         read = "deg"
     if read in _RAD:
         return JointUnit(read, _RAD[read], "rad", 2.0 * math.pi)
-    turn, zero = _number(about.get(TURN)), _number(about.get(ZERO))
+    turn, zero = _parse_unit_number(about.get(TURN)), _parse_unit_number(about.get(ZERO))
     if read == "counts" and turn is not None and zero is not None:
         return JointUnit(read, 2.0 * math.pi / turn, "rad", 2.0 * math.pi, zero)
     return JointUnit(read, 1.0, read, turn)
 
 
-def _number(text: str | None) -> float | None:
+def _parse_unit_number(text: str | None) -> float | None:
     try:
         found = float(text or "")
     except ValueError:

@@ -15,12 +15,12 @@ import numpy as np
 from ..errors import ConfigError, FormatError, LogError
 from ..io import remote
 from .decode.columns import columns_of, definition_of
-from .decode.table import Table, filled, leaf_paths, object_paths
-from .formats import open_log, payloads, without_images
+from .decode.table import Table, fill_table, leaf_paths, object_paths
+from .formats import open_log, payload_views, without_images
 from .limits import LIMITS
 from .mcap.records import MAGIC
 from .protocol import Log
-from .records import Batch, Finding, Frame, Topic
+from .records import Batch, Finding, LazyImage, Topic
 
 _OBJECTS = ("json", "protobuf")
 _HEADS = ("header", "encoding", "format", "name", "names", "position")
@@ -82,7 +82,7 @@ class OpenLog:
         for name, some in topics.items():
             own = [columns[one.id] for one in some]
             log_ns = np.concatenate([np.empty(0, np.int64), *(c.log_ns for c in own)])
-            tables[name] = filled(Table(name, self._fields(some), self.read, log_ns), some, own, fields[name])
+            tables[name] = fill_table(Table(name, self._fields(some), self.read, log_ns), some, own, fields[name])
         return tables
 
     def batches(self, topics: Sequence[str] | None = None) -> Iterator[Batch]:
@@ -92,24 +92,24 @@ class OpenLog:
     def messages(self, topics: Sequence[str] | None = None) -> Iterator[Message]:
         """Decoded messages in file order; `rejected` counts by topic those that cannot be decoded."""
         wanted = self.topics if topics is None else [one for name in topics for one in self._topics(name)]
-        decoders = {one.id: (one.name, _decoder(one)) for one in wanted}
+        decoders = {one.id: (one.name, _make_message_decoder(one)) for one in wanted}
         for batch in self._batches(tuple(decoders)):
             name, decode = decoders[batch.topic_id]
-            for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+            for log_ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
                 try:
                     yield Message(name, log_ns, decode(bytes(payload)))
                 except FormatError:
                     self.rejected[name] += 1
 
-    def frames(self, topic: str) -> Iterator[Frame]:
+    def frames(self, topic: str) -> Iterator[LazyImage]:
         """The images of a topic in file order: `image` (H,W,3) uint8 BGR, t in s since start_ns by log time."""
         from .images import messages as images
 
-        decoders = {one.id: images.decoder(one) for one in self._topics(topic)}
+        decoders = {one.id: images.make_image_decoder(one) for one in self._topics(topic)}
         for batch in self._batches(tuple(decoders)):
-            for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+            for log_ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
                 decode = partial(decoders[batch.topic_id], bytes(payload))
-                yield Frame((log_ns - self.start_ns) / 1e9, log_ns, decode)
+                yield LazyImage((log_ns - self.start_ns) / 1e9, log_ns, decode)
 
     def close(self) -> None:
         """Close the file."""
@@ -156,9 +156,9 @@ class OpenLog:
         if topic.encoding not in _OBJECTS:
             yield from leaf_paths(definition_of(topic))
             return
-        first = next((payload for batch in self._batches((topic.id,)) for payload in payloads(batch)), None)
+        first = next((payload for batch in self._batches((topic.id,)) for payload in payload_views(batch)), None)
         if first is not None:
-            yield from object_paths(_decoder(topic)(bytes(first)))
+            yield from object_paths(_make_message_decoder(topic)(bytes(first)))
 
 
 def findings_about(findings: Sequence[Finding], here: Path, path: str | Path) -> tuple[Finding, ...]:
@@ -182,12 +182,12 @@ def local_path(path: str | Path, wait_s: float = LIMITS.max_wait_s) -> Iterator[
     from .storage import remote_map
 
     url = str(path)
-    size = remote.size(url, wait_s)
-    first, in_parts = remote.begin(url, min(size, 64), wait_s) if size else (b"", False)
+    size = remote.remote_size_bytes(url, wait_s)
+    first, in_parts = remote.read_first_bytes(url, min(size, 64), wait_s) if size else (b"", False)
     if first.startswith(MAGIC) and in_parts:
         opened = remote_map.mapped_remote(remote.name_of(url), size, partial(_read_range, url, wait_s))
     else:
-        opened = remote.local(url, Path(gettempdir()), wait_s)
+        opened = remote.local_copy(url, Path(gettempdir()), wait_s)
     with opened as here, remote.errors_about(here, url):
         yield here
 
@@ -200,12 +200,12 @@ def _read_range(url: str, wait_s: float, start: int, end: int) -> bytes:
     return found
 
 
-def _decoder(topic: Topic) -> Callable[[bytes], Any]:
+def _make_message_decoder(topic: Topic) -> Callable[[bytes], Any]:
     """A function from payload to message; it raises FormatError when they contradict the definition."""
     if topic.encoding in _OBJECTS:
-        from .decode.dynamic import reader
+        from .decode.dynamic import make_dynamic_reader
 
-        return reader(topic)
-    from .decode.message_objects import decoder
+        return make_dynamic_reader(topic)
+    from .decode.message_objects import make_object_decoder
 
-    return decoder(topic)
+    return make_object_decoder(topic)

@@ -4,29 +4,29 @@ import math
 from dataclasses import dataclass
 
 from ..errors import LogError
-from ..io.toml_keys import key
+from ..io.toml_keys import declare_key
 
 
 @dataclass(frozen=True)
 class Input:
     """[input]: how damaged and large logs are read."""
 
-    strict: bool = key(False, "Refuse a damaged log instead of reading its sound part.")
-    max_image_mpx: float = key(32.0, "Largest image that is decoded.", unit="Mpx", low=1e-3, high=1e4)
-    max_message_mb: float = key(
+    strict: bool = declare_key(False, "Refuse a damaged log instead of reading its sound part.")
+    max_image_mpx: float = declare_key(32.0, "Largest image that is decoded.", unit="Mpx", low=1e-3, high=1e4)
+    max_message_mb: float = declare_key(
         128.0, "Largest decompressed message or chunk, or 16 times its packed size.", unit="MB", low=1, high=1e5
     )
-    max_unpacked_gb: float = key(
+    max_unpacked_gb: float = declare_key(
         0.5, "Most that a log decompresses to, or 1024 times its packed size.", unit="GB", low=1e-3, high=1e6
     )
-    max_table_mb: float = key(
+    max_table_mb: float = declare_key(
         64.0, "Most that a table's or dataset's numbers and texts take.", unit="MB", low=1, high=1e6
     )
-    max_datasets: int = key(2000, "Most datasets of one HDF5 episode.", low=1, high=10**6)
-    max_yaml_mb: float = key(1.0, "Longest YAML file, of 100 000 values a MB.", unit="MB", low=1e-3, high=100)
-    max_joints: int = key(1000, "Most joints of a URDF, or that joint states name.", low=1, high=10**5)
-    max_frames: int = key(500_000, "Most images of one camera of a dataset or video.", low=1, high=10**8)
-    max_wait_s: float = key(20.0, "Longest time without an answer from a server.", unit="s", low=0.1, high=3600)
+    max_datasets: int = declare_key(2000, "Most datasets of one HDF5 episode.", low=1, high=10**6)
+    max_yaml_mb: float = declare_key(1.0, "Longest YAML file, of 100 000 values a MB.", unit="MB", low=1e-3, high=100)
+    max_joints: int = declare_key(1000, "Most joints of a URDF, or that joint states name.", low=1, high=10**5)
+    max_frames: int = declare_key(500_000, "Most images of one camera of a dataset or video.", low=1, high=10**8)
+    max_wait_s: float = declare_key(20.0, "Longest time without an answer from a server.", unit="s", low=0.1, high=3600)
 
 
 LIMITS = Input()

@@ -54,7 +54,7 @@ Progress = Callable[[int], None]
 """Called with how many more messages are done."""
 
 
-def counted(batches: Iterable[Batch], progress: Progress | None) -> Iterator[Batch]:
+def count_progress(batches: Iterable[Batch], progress: Progress | None) -> Iterator[Batch]:
     """Yield the batches; `progress` is called with the number of messages of each that is done."""
     for batch in batches:
         yield batch

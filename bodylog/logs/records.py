@@ -63,7 +63,7 @@ class Outgoing:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class LazyImage:
     """One image, decoded on demand: decode(k) gives (H/k, W/k, 3) uint8 BGR for k in 1, 2, 4, 8; thread safe.
 
     The result may be a read-only view of the log's own bytes, in any memory order.

@@ -9,11 +9,11 @@ TRACK_NAMES = ("u", "v", "std_u", "std_v")
 _ILLEGAL = re.compile(r"(?:^|(?<=/))[0-9]|[^A-Za-z0-9_/]|(?:^|(?<=/))/|/(?=/|$)|_(?=x[0-9a-f]+[^A-Za-z0-9])")
 
 
-def escape(name: str) -> str:
+def escape_topic_name(name: str) -> str:
     """`name`, whose / separate parts, as the end of a topic name; characters that ROS forbids become _x<hex>_."""
     return _ILLEGAL.sub(lambda m: f"_x{ord(m[0]):x}_", name)
 
 
-def unescape(segment: str) -> str:
-    """Undo `escape`."""
+def unescape_topic_name(segment: str) -> str:
+    """Undo `escape_topic_name`."""
     return re.sub(r"_x([0-9a-f]+)_", lambda m: chr(int(m[1], 16)), segment)

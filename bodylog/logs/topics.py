@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..io.values import LATEST_NS, is_time, text, times
+from ..io.values import LATEST_NS, is_time, encodable_text, log_times_ns
 from .diagnostics import Diagnostics
 from .records import Array, Batch, Topic
 
@@ -13,12 +13,12 @@ INDEPENDENT: Mapping[str, str] = {"bodylog.motion": "independent poses"}
 """Metadata of a joint topic whose messages are independent poses."""
 
 
-def independent(topics: Collection[Topic]) -> bool:
+def has_independent_poses(topics: Collection[Topic]) -> bool:
     """Whether a joint topic holds independent poses."""
     return any(topic.metadata.get(key) == value for topic in topics for key, value in INDEPENDENT.items())
 
 
-class Topics:
+class TopicTable:
     """The topics of one log, numbered from 0 in order of appearance."""
 
     def __init__(self) -> None:
@@ -36,8 +36,8 @@ class Topics:
         metadata: Mapping[str, str],
     ) -> int:
         """The id of the topic with these properties; adds to its number of messages."""
-        key = (text(name), normalised(text(type_name)), text(encoding), definition, text(definition_encoding))
-        known = self._topics.get(key) or Topic(len(self._topics), *key, 0, {k: text(v) for k, v in metadata.items()})
+        key = (encodable_text(name), normalise_message_type(encodable_text(type_name)), encodable_text(encoding), definition, encodable_text(definition_encoding))
+        known = self._topics.get(key) or Topic(len(self._topics), *key, 0, {k: encodable_text(v) for k, v in metadata.items()})
         self._topics[key] = replace(known, messages=known.messages + messages)
         return known.id
 
@@ -46,13 +46,13 @@ class Topics:
         return tuple(self._topics.values())
 
 
-def normalised(type_name: str) -> str:
+def normalise_message_type(type_name: str) -> str:
     """package/Name as package/msg/Name; other names unchanged."""
     package, slash, name = type_name.partition("/")
     return f"{package}/msg/{name}" if slash and "/" not in name else type_name
 
 
-def span(found: Collection[int], diagnostics: Diagnostics) -> tuple[int, int]:
+def log_time_span(found: Collection[int], diagnostics: Diagnostics) -> tuple[int, int]:
     """First and last time of a log (ns), 0 if it has none; warns about times outside a clock's range."""
     sound = [ns for ns in found if is_time(ns)]
     if len(sound) < len(found):
@@ -62,13 +62,13 @@ def span(found: Collection[int], diagnostics: Diagnostics) -> tuple[int, int]:
     return min(sound, default=0), max(sound, default=0)
 
 
-def split(topic: Array, log_ns: Array, data: Array, offset: Array, length: Array) -> Iterator[Batch]:
+def split_by_topic_id(topic: Array, log_ns: Array, data: Array, offset: Array, length: Array) -> Iterator[Batch]:
     """One Batch per id in topic (n,), in order of appearance; ids below 0 are left out."""
     if not len(topic):
         return
     if topic[0] == topic[-1] and (topic == topic[0]).all():
         if topic[0] >= 0:
-            yield Batch(int(topic[0]), times(log_ns), data, offset, length)
+            yield Batch(int(topic[0]), log_times_ns(log_ns), data, offset, length)
         return
     order = np.argsort(topic, kind="stable")
     ids, firsts = np.unique(topic[order], return_index=True)
@@ -76,4 +76,4 @@ def split(topic: Array, log_ns: Array, data: Array, offset: Array, length: Array
     for number, low, high in zip(ids.tolist(), bounds, bounds[1:], strict=False):
         if number >= 0:
             rows = order[low:high]
-            yield Batch(number, times(log_ns[rows]), data, offset[rows], length[rows])
+            yield Batch(number, log_times_ns(log_ns[rows]), data, offset[rows], length[rows])

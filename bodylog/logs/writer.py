@@ -10,15 +10,15 @@ from typing import Any, Self
 import numpy as np
 
 from ..errors import ConfigError, FormatError, UsageError
-from ..io.atomic_files import replacing
+from ..io.atomic_files import replace_atomically
 from .conversion.transcode import LIBRARY, PROFILE
-from .decode.definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field, parse
+from .decode.definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field, parse_definition
 from .decode.ros1_to_cdr import known_definition
 from .encode import cdr
 from .encode.cdr import Payloads
-from .mcap.encode import MessageTable, gather
+from .mcap.encode import MessageTable, gather_pieces
 from .mcap.writer import Contents
-from .mcap.writer import Writer as Chunks
+from .mcap.writer import McapRecordWriter as Chunks
 from .records import Array, Batch, Topic
 
 _CDR_NAMES = {"byte": "uint8", "char": "uint8", "octet": "uint8"}
@@ -40,7 +40,7 @@ class Writer:
     def __enter__(self) -> Self:
         """Open a temporary file beside the output."""
         with ExitStack() as opening:
-            stream = opening.enter_context(opening.enter_context(replacing(self._path)).open("wb"))
+            stream = opening.enter_context(opening.enter_context(replace_atomically(self._path)).open("wb"))
             self._chunks = Chunks(stream, Contents())
             self._chunks.begin(PROFILE, LIBRARY)
             self._open = opening.pop_all()
@@ -66,15 +66,15 @@ class Writer:
         """
         times = np.asarray(log_ns, np.int64).reshape(-1)
         text = self._definition(type, definition)
-        parsed = parse(text, type, "ros2msg")
-        known = dict(_paths(parsed, parsed.root))
+        parsed = parse_definition(text, type, "ros2msg")
+        known = dict(_writable_paths(parsed, parsed.root))
         if unknown := [name for name in fields if name not in known]:
             raise ConfigError(f"{topic}: {type} has no field {unknown[0]!r}; the fields are {', '.join(sorted(known))}")
-        values = {name: _values(topic, name, known[name], value, len(times)) for name, value in fields.items()}
+        values = {name: _convert_field_values(topic, name, known[name], value, len(times)) for name, value in fields.items()}
         key = topic, type, text
         if key not in self._channels:
             self._channels[key] = self._writing().topic(topic, type, "cdr", text, "ros2msg", {})
-        self._put(key, times, _serialised(parsed, values, len(times)))
+        self._put(key, times, _serialise_layout_groups(parsed, values, len(times)))
 
     def write_batch(self, topic: Topic, batch: Batch) -> None:
         """Write undecoded messages of another log unchanged: one of its topics, and a batch of that topic."""
@@ -82,7 +82,7 @@ class Writer:
         if key not in self._channels:
             about = (topic.encoding, topic.definition, topic.definition_encoding, topic.metadata)
             self._channels[key] = self._writing().topic(topic.name, topic.type, *about)
-        data, offset = gather(batch.data, batch.offset, batch.length)
+        data, offset = gather_pieces(batch.data, batch.offset, batch.length)
         self._put(key, batch.log_ns, Payloads(data, offset, batch.length))
 
     def _definition(self, type_: str, given: str | None) -> bytes:
@@ -108,13 +108,13 @@ class Writer:
         return self._chunks
 
 
-def _paths(definition: Definition, type_: str, prefix: str = "") -> Iterator[tuple[str, Field]]:
+def _writable_paths(definition: Definition, type_: str, prefix: str = "") -> Iterator[tuple[str, Field]]:
     """The writable fields by message path; arrays of messages are not writable and stay empty."""
     for field in definition.types[type_]:
         if field.type in PRIMITIVES or field.type in TEXTS or field.type in TIMES:
             yield prefix + field.name, field
         elif field.size is None:
-            yield from _paths(definition, field.type, f"{prefix}{field.name}.")
+            yield from _writable_paths(definition, field.type, f"{prefix}{field.name}.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class _Texts:
     index: Array
 
 
-def _values(topic: str, name: str, field: Field, value: Any, count: int) -> Any:
+def _convert_field_values(topic: str, name: str, field: Field, value: Any, count: int) -> Any:
     """One field of `count` messages: _Texts · numbers or ns (n,) · for arrays (n,K), or a list of n arrays or bytes."""
     if isinstance(value, np.ndarray) and value.dtype == object:
         value = list(value)  # messages of unequal length, as a Table has them
@@ -133,12 +133,12 @@ def _values(topic: str, name: str, field: Field, value: Any, count: int) -> Any:
     if not constant and len(value) != count:
         raise ConfigError(f"{topic}: {name} has {len(value)} values for {count} messages")
     if field.type in TEXTS:
-        return _texts(field, [value] if constant else value, count)
+        return _encode_texts(field, [value] if constant else value, count)
     if field.size is not None and field.type in TIMES:
         raise ConfigError(f"{topic}: {name} is an array of times, which cannot be written")
     if not constant and field.size is not None and len({len(one) for one in value}) > 1:
         return value
-    numbers = np.frombuffer(value, np.uint8) if isinstance(value, bytes) else np.asarray(_unpacked(value))
+    numbers = np.frombuffer(value, np.uint8) if isinstance(value, bytes) else np.asarray(_bytes_to_arrays(value))
     numbers = np.broadcast_to(numbers, (count, *numbers.shape)) if constant else numbers
     wanted = 1 if field.size is None else 2
     if numbers.ndim != wanted or (wanted == 2 and field.size != -1 and numbers.shape[1] != field.size):
@@ -157,20 +157,20 @@ def _is_constant(field: Field, value: Any) -> bool:
     return isinstance(first, str) if field.type in TEXTS else np.ndim(first) == 0 and not isinstance(first, bytes)
 
 
-def _unpacked(value: Any) -> Any:
+def _bytes_to_arrays(value: Any) -> Any:
     """Bytes among the values as arrays of numbers."""
     packed = isinstance(value, list | tuple) and len(value) and isinstance(value[0], bytes)
     return [np.frombuffer(one, np.uint8) for one in value] if packed else value
 
 
-def _texts(field: Field, values: Sequence[Any], count: int) -> _Texts:
+def _encode_texts(field: Field, values: Sequence[Any], count: int) -> _Texts:
     known: dict[Any, int] = {}
     each = (str(one) if field.size is None else tuple(map(str, one)) for one in values)
     index = np.array([known.setdefault(one, len(known)) for one in each], np.int64)
     return _Texts(list(known), np.broadcast_to(index, (count,)) if len(index) == 1 else index)
 
 
-def _serialised(definition: Definition, values: Mapping[str, Any], count: int) -> Payloads:
+def _serialise_layout_groups(definition: Definition, values: Mapping[str, Any], count: int) -> Payloads:
     """All messages, grouped by layout."""
     keys = np.zeros(count, np.int64)
     for value in values.values():
@@ -179,31 +179,31 @@ def _serialised(definition: Definition, values: Mapping[str, Any], count: int) -
             _, keys = np.unique(np.column_stack([keys, shape]), axis=0, return_inverse=True)
     order = np.argsort(keys, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(keys[order])) + 1) if count else []
-    fields = (list(_fields(definition, definition.root, values, rows)) for rows in groups)
-    return cdr.merge([(rows, cdr.serialise(len(rows), own)) for rows, own in zip(groups, fields, strict=True)], count)
+    fields = (list(_cdr_message_fields(definition, definition.root, values, rows)) for rows in groups)
+    return cdr.merge_payloads([(rows, cdr.serialise_messages(len(rows), own)) for rows, own in zip(groups, fields, strict=True)], count)
 
 
-def _fields(
+def _cdr_message_fields(
     definition: Definition, type_: str, values: Mapping[str, Any], rows: Array, prefix: str = ""
 ) -> Iterator[cdr.CdrField]:
     """The fields of messages with the same layout, in order."""
     for field in definition.types[type_]:
         path = prefix + field.name
         if field.type in TEXTS:
-            yield from _text(field, values.get(path), rows)
+            yield from _cdr_text_field(field, values.get(path), rows)
         elif field.type in TIMES and field.size is None:
-            yield from cdr.time(values[path][rows] if path in values else np.zeros(len(rows), np.int64))
+            yield from cdr.cdr_time_field(values[path][rows] if path in values else np.zeros(len(rows), np.int64))
         elif field.type in PRIMITIVES:
-            yield _numbers(field, values.get(path), rows)
+            yield _cdr_number_field(field, values.get(path), rows)
         elif field.size is None:
-            yield from _fields(definition, field.type, values, rows, f"{path}.")
+            yield from _cdr_message_fields(definition, field.type, values, rows, f"{path}.")
         elif field.size == -1:
             yield "uint32", 0
         else:
             raise FormatError(f"{definition.root}: {path} is a fixed array of messages, which cannot be written")
 
 
-def _text(field: Field, value: _Texts | None, rows: Array) -> Iterator[cdr.CdrField]:
+def _cdr_text_field(field: Field, value: _Texts | None, rows: Array) -> Iterator[cdr.CdrField]:
     one = None if value is None else value.known[int(value.index[rows[0]])]
     if field.size is None:
         yield "string", one or ""
@@ -213,7 +213,7 @@ def _text(field: Field, value: _Texts | None, rows: Array) -> Iterator[cdr.CdrFi
         yield from (("string", text) for text in (one or ("",) * field.size))
 
 
-def _numbers(field: Field, value: Any, rows: Array) -> cdr.CdrField:
+def _cdr_number_field(field: Field, value: Any, rows: Array) -> cdr.CdrField:
     kind = _CDR_NAMES.get(field.type, field.type)
     if field.size is None:
         return kind, 0 if value is None else value[rows]
@@ -221,4 +221,4 @@ def _numbers(field: Field, value: Any, rows: Array) -> cdr.CdrField:
     if value is None:
         return kind + suffix, np.zeros((len(rows), max(field.size, 0)))
     some = [value[int(row)] for row in rows] if isinstance(value, list) else value[rows]
-    return kind + suffix, np.stack(_unpacked(some)) if isinstance(some, list) else some
+    return kind + suffix, np.stack(_bytes_to_arrays(some)) if isinstance(some, list) else some

@@ -4,51 +4,51 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
 
-from ..settings import Colour, Settings, sought, wanted
+from ..settings import Colour, Settings, list_sought_sources, list_configured_sources
 from ..sources import ColourSource, PointSource, Source, board_points, track_names
-from ..types import Board, Features, Finding, Frame, Health, Recording, Series, Stroke
+from ..types import Board, Features, Finding, LazyImage, Health, Recording, Series, Stroke
 from . import tracking
 from .colours import colour_tracker
 from .points import points
 from .touch import detection, matching, strokes
-from .tracking.candidates import Candidate, Survey, survey
-from .tracking.frame_search import FrameSearcher, Seen
+from .tracking.candidates import Candidate, FeatureSurvey, survey_features
+from .tracking.frame_search import FrameSearcher, SearchedFrames
 from .tracking.unconfigured import find_alternative
 
 __all__ = [
-    "Candidate", "FrameSearcher", "Survey", "find_alternative", "observe", "rigid_groups", "searcher", "survey"
+    "Candidate", "FrameSearcher", "FeatureSurvey", "find_alternative", "observe_recording", "rigid_groups", "frame_searcher", "survey_features"
 ]  # fmt: skip
 
 Progress = Callable[[int], None]
 """Called with the number of further images done."""
-Frames = Callable[[], Iterator[Frame]]
+Frames = Callable[[], Iterator[LazyImage]]
 
 
-def searcher(settings: Settings, progress: Progress | None = None) -> FrameSearcher:
-    """A consumer of the first camera's frames while the log is read, so that `observe` reads them once. ConfigError."""
-    features = wanted(settings)
-    return colour_tracker.searcher(_colours(features), progress, settings.colours.fast, tracking.trackers(features))
+def frame_searcher(settings: Settings, progress: Progress | None = None) -> FrameSearcher:
+    """A consumer of the first camera's frames while the log is read, so that `observe_recording` reads them once. ConfigError."""
+    features = list_configured_sources(settings)
+    return colour_tracker.colour_searcher(_colours_of_features(features), progress, settings.colours.fast, tracking.make_trackers(features))
 
 
-def observe(recording: Recording, settings: Settings, progress: Progress | None = None) -> Features:
+def observe_recording(recording: Recording, settings: Settings, progress: Progress | None = None) -> Features:
     """The features of a recording; `progress` gets the number of further images done. Raises ConfigError.
 
     Health is kept per track, and for "touch".
     """
-    tracks, health, findings, size = _tracks(recording, settings, progress)
+    tracks, health, findings, size = _track_all_cameras(recording, settings, progress)
     # the search begins before it is known whether the log has a skin
-    for name in wanted(settings).keys() - sought(settings, recording.skin is not None).keys():
+    for name in list_configured_sources(settings).keys() - list_sought_sources(settings, recording.skin is not None).keys():
         tracks = {track: series for track, series in tracks.items() if track != name}
         health = {track: counts for track, counts in health.items() if track != name}
         findings = tuple(one for one in findings if not one.text.startswith(f"{name}: "))
     tracks, health = {**tracks, **recording.tracks}, {**health, **recording.track_health}
     touches = None
     if recording.skin is not None:
-        touches, health["touch"], felt = detection.touches(recording.skin, settings.skin)
+        touches, health["touch"], felt = detection.detect_touches(recording.skin, settings.skin)
         findings += felt
-    seen: tuple[Stroke, ...] = strokes.strokes(tracks["hand"]) if "hand" in tracks else ()
+    seen: tuple[Stroke, ...] = strokes.find_strokes(tracks["hand"]) if "hand" in tracks else ()
     pairs, more = matching.match_touches(touches or (), seen, clock_offset=settings.synchrony.clock_offset)
-    boards = rigid_groups(wanted(settings), tracks)
+    boards = rigid_groups(list_configured_sources(settings), tracks)
     return Features(recording.joints, tracks, touches, seen, pairs, health, findings + more, size, boards=boards)
 
 
@@ -67,7 +67,7 @@ def rigid_groups(features: Mapping[str, Source], tracks: Iterable[str]) -> dict[
     return found
 
 
-def _tracks(
+def _track_all_cameras(
     recording: Recording, settings: Settings, progress: Progress | None
 ) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...], tuple[int, int] | None]:
     """Tracks, health and findings of all cameras, and the first one's image width and height (px) if known."""
@@ -78,35 +78,35 @@ def _tracks(
             else "camera: none in this log; no tracks, no strokes"
         )
         return {}, {}, (Finding("info", text),), None
-    features, consumed = wanted(settings), recording.consumed
+    features, consumed = list_configured_sources(settings), recording.consumed
     if consumed is not None and isinstance(consumed.by, FrameSearcher):
         seen = consumed.by.seen(consumed)
     else:
-        seen = _search(recording.frames, features, settings, progress)
-    tracks, health, findings = _seen(seen, recording.frames, features, recording.joints)
+        seen = _search_camera(recording.frames, features, settings, progress)
+    tracks, health, findings = _tracks_of_camera(seen, recording.frames, features, recording.joints)
     given = {name: source for name, source in features.items() if isinstance(source, PointSource)}
-    followed = points.tracked(recording.frames, given, recording.name)
-    more = tracking.series(followed, seen.t, seen.source_ns, np.arange(seen.t.size))
+    followed = points.track_points(recording.frames, given, recording.name)
+    more = tracking.series_of_tracked(followed, seen.t, seen.source_ns, np.arange(seen.t.size))
     tracks, health = tracks | more[0], health | more[1]
     for camera, frames in recording.views.items():
         # touches are compared with the first camera's hand
         beside = {f"{camera}/{name}": source for name, source in features.items() if name != "hand"}
-        more = _seen(_search(frames, beside, settings, progress), frames, beside, recording.joints)
+        more = _tracks_of_camera(_search_camera(frames, beside, settings, progress), frames, beside, recording.joints)
         tracks, health, findings = tracks | more[0], health | more[1], findings + more[2]
     return tracks, health, findings, seen.size
 
 
-def _search(frames: Frames, features: Mapping[str, Source], settings: Settings, progress: Progress | None) -> Seen:
-    trackers = tracking.trackers(features)
-    return colour_tracker.search(frames, _colours(features), progress, settings.colours.fast, trackers)
+def _search_camera(frames: Frames, features: Mapping[str, Source], settings: Settings, progress: Progress | None) -> SearchedFrames:
+    trackers = tracking.make_trackers(features)
+    return colour_tracker.search_colours(frames, _colours_of_features(features), progress, settings.colours.fast, trackers)
 
 
-def _seen(seen: Seen, frames: Frames, features: Mapping[str, Source], joints: Series | None) -> colour_tracker.Tracks:
+def _tracks_of_camera(seen: SearchedFrames, frames: Frames, features: Mapping[str, Source], joints: Series | None) -> colour_tracker.Tracks:
     """Tracks, health and findings of one camera."""
-    tracks, health, findings = colour_tracker.tracks(seen, frames, _colours(features), joints)
-    more = tracking.series(seen.tracked, seen.t, seen.source_ns, seen.number)
+    tracks, health, findings = colour_tracker.colour_tracks(seen, frames, _colours_of_features(features), joints)
+    more = tracking.series_of_tracked(seen.tracked, seen.t, seen.source_ns, seen.number)
     return tracks | more[0], health | more[1], findings + more[2]
 
 
-def _colours(features: Mapping[str, Source]) -> dict[str, Colour]:
+def _colours_of_features(features: Mapping[str, Source]) -> dict[str, Colour]:
     return {name: source.colour for name, source in features.items() if isinstance(source, ColourSource)}

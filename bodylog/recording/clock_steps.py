@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ..logs.records import Array
-from .clocks import median
+from .clocks import median_by_sorting
 
 LEAST_STEP_NS = 20_000_000
 """ns: least fall or leap that counts as a step."""
@@ -100,7 +100,7 @@ def _found_or_adopted(
     found = _with_common_sizes(
         {name: _find_by_topic(times, find) for name, times in streams.items()}
     )
-    common = _distinct(found)
+    common = _distinct_steps(found)
     return {name: steps or adopt(streams[name], common) for name, steps in found.items()}
 
 
@@ -132,9 +132,9 @@ def _find_log_steps(log_ns: Array, stamp_ns: Array | None) -> Steps:
         )
         if not len(near):
             continue
-        usual = median(near)
+        usual = median_by_sorting(near)
         size = usual - float(intervals[row - 1])
-        std = 1.5 * median(np.abs(near - usual))
+        std = 1.5 * median_by_sorting(np.abs(near - usual))
         regular_ns = np.rint(usual * np.arange(len(log_ns))).astype(np.int64)
         level, _ = _level_change(regular_ns - log_ns, begin, row, end, LASTING)
         lasts = abs(level - size) <= STEADY_SHARE * size
@@ -224,7 +224,7 @@ def _is_into_future(late: Array, row: int, size: float) -> bool:
     """Whether stamps, `late` (n,) ns behind log times, agree with these up to `row`, and lead
     afterwards.
     """
-    before = median(late[max(0, row - WINDOW) : row].astype(float))
+    before = median_by_sorting(late[max(0, row - WINDOW) : row].astype(float))
     return size < 0.0 and abs(before) <= STEADY_SHARE * abs(size)
 
 
@@ -259,9 +259,9 @@ def _level_change(
     # relative to one of them: float64 would round differences of fifty years to 256 ns
     before = (late[max(begin, row - window) : row] - late[row]).astype(float)
     after = (late[row:last] - late[row]).astype(float)
-    size = median(after) - median(before)
+    size = median_by_sorting(after) - median_by_sorting(before)
     before_scatter, after_scatter = (
-        1.5 * median(np.abs(side - median(side))) for side in (before, after)
+        1.5 * median_by_sorting(np.abs(side - median_by_sorting(side))) for side in (before, after)
     )
     if max(before_scatter, after_scatter) > STEADY_SHARE * abs(size):
         return 0.0, 0.0
@@ -277,26 +277,26 @@ def _with_common_sizes(found: Mapping[str, Steps]) -> dict[str, Steps]:
     every = [step for steps in found.values() for step in steps]
 
     def with_common_size(step: ClockStep) -> ClockStep:
-        best = min((one for one in every if _same(one, step)), key=lambda one: one.std_ns)
+        best = min((one for one in every if _may_be_one_step(one, step)), key=lambda one: one.std_ns)
         return step._replace(by_ns=best.by_ns, std_ns=best.std_ns)
 
     return {name: [with_common_size(step) for step in steps] for name, steps in found.items()}
 
 
-def _same(one: ClockStep, other: ClockStep) -> bool:
+def _may_be_one_step(one: ClockStep, other: ClockStep) -> bool:
     """Whether two steps may be one."""
     apart = abs(one.by_ns - other.by_ns)
-    alike = apart <= SAME_SIZE_NS + 5.0 * float(np.hypot(one.std_ns, other.std_ns))
-    return alike and abs(one.at_ns - other.at_ns) <= SAME_STEP_NS
+    same_size = apart <= SAME_SIZE_NS + 5.0 * float(np.hypot(one.std_ns, other.std_ns))
+    return same_size and abs(one.at_ns - other.at_ns) <= SAME_STEP_NS
 
 
-def _distinct(found: Mapping[str, Steps]) -> Steps:
+def _distinct_steps(found: Mapping[str, Steps]) -> Steps:
     """Each step that any stream shows once, in order, as the stream that saw it latest dates it."""
     distinct = Steps()
     for step in sorted(
         (step for steps in found.values() for step in steps), key=lambda step: step.at_ns
     ):
-        if distinct and _same(distinct[-1], step):
+        if distinct and _may_be_one_step(distinct[-1], step):
             distinct[-1] = step
         else:
             distinct.append(step)

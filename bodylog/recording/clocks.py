@@ -42,8 +42,8 @@ def order_by_time(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: 
         if back.sum() <= _FEW * len(back):
             t_ns, clock = stamp_ns, "header"
     skipped = back.copy() if clock == "header" else np.zeros(len(back), bool)
-    skipped[~skipped] = repeats(t_ns[~skipped])
-    near = _near(t_ns)
+    skipped[~skipped] = repeats_earlier_times(t_ns[~skipped])
+    near = _is_near_bulk(t_ns)
     rows = np.flatnonzero(near & ~skipped)
     out_of_order = int((np.diff(t_ns[rows]) < 0).sum())
     rows = rows[np.argsort(t_ns[rows], kind="stable")]
@@ -54,21 +54,21 @@ def order_by_time(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: 
         "same stamp again": int(doubled.sum()),
     }  # fmt: skip
     rows = rows[~doubled]
-    offset, spread = _offset(log_ns, stamp_ns, near)
+    offset, spread = _header_offset_ns(log_ns, stamp_ns, near)
     rejected = {reason: n for reason, n in counts.items() if n}
     wrong = np.sort(log_ns[near & (back | skipped)])
-    return Timing(t_ns[rows], rows, clock, rejected, out_of_order, offset, spread, wrong, falls(t_ns[near]))
+    return Timing(t_ns[rows], rows, clock, rejected, out_of_order, offset, spread, wrong, is_stored_backwards(t_ns[near]))
 
 
 def _falls_back(stamp_ns: Array) -> bool:
     """Whether stamps (n,) fall in the file too: rising stamps are not wrong where the log's clock falls."""
-    near = stamp_ns[_near(stamp_ns)]
+    near = stamp_ns[_is_near_bulk(stamp_ns)]
     return bool((np.maximum.accumulate(near) - near).max(initial=0) > BACK)
 
 
 def runs_back(log_ns: Array, stamp_ns: Array) -> Array:
     """Which messages (n,) got stamps apart from most when the header clock ran backwards relative to the log's."""
-    near = np.flatnonzero(_near(stamp_ns))
+    near = np.flatnonzero(_is_near_bulk(stamp_ns))
     order = near[np.argsort(log_ns[near], kind="stable")]
     behind = np.maximum.accumulate(stamp_ns[order]) - stamp_ns[order]
     apart = np.zeros(len(stamp_ns), bool)
@@ -78,9 +78,9 @@ def runs_back(log_ns: Array, stamp_ns: Array) -> Array:
     return apart
 
 
-def repeats(t_ns: Array) -> Array:
+def repeats_earlier_times(t_ns: Array) -> Array:
     """Which messages (n,) of a time-ordered file overlap earlier ones, because its clock was set back."""
-    near, again = np.flatnonzero(_near(t_ns)), np.zeros(len(t_ns), bool)
+    near, again = np.flatnonzero(_is_near_bulk(t_ns)), np.zeros(len(t_ns), bool)
     t = t_ns[near]
     steps, behind = np.diff(t), np.maximum.accumulate(t) - t
     if behind.max(initial=0) <= BACK or np.mean(steps < 0) > _FEW or not (steps > 0).any():
@@ -92,11 +92,11 @@ def repeats(t_ns: Array) -> Array:
     between = np.full(len(t), np.iinfo(np.int64).max)
     between[order[1:-1]] = t[order[2:]] - t[order[:-2]]
     # a part written late is alone in its time range, a part with doubled times has others between
-    again[near] = far & (behind > 0) & (between < 1.5 * median(steps[steps > 0]))
+    again[near] = far & (behind > 0) & (between < 1.5 * median_by_sorting(steps[steps > 0]))
     return again
 
 
-def falls(t_ns: Array) -> bool:
+def is_stored_backwards(t_ns: Array) -> bool:
     """Whether the file stores messages from the latest to the earliest."""
     return len(t_ns) > 1 and bool(np.mean(np.diff(t_ns) < 0) > 1.0 - _FEW)
 
@@ -106,19 +106,19 @@ def is_sound(stamp_ns: Array, log_ns: Array | None = None) -> bool:
     if not len(stamp_ns) or np.mean(stamp_ns <= 0) > _FEW:
         return False
     different = np.count_nonzero(np.diff(np.sort(stamp_ns, kind="stable"))) + 1
-    return bool(different > len(stamp_ns) / 2 or (log_ns is not None and _doubled(stamp_ns, log_ns)))
+    return bool(different > len(stamp_ns) / 2 or (log_ns is not None and _arrive_together(stamp_ns, log_ns)))
 
 
-def _doubled(stamp_ns: Array, log_ns: Array) -> bool:
+def _arrive_together(stamp_ns: Array, log_ns: Array) -> bool:
     """Whether messages of one stamp arrive together, as from two publishers, and not one after the other."""
     order = np.lexsort((log_ns, stamp_ns))
     stamps, logged = stamp_ns[order], log_ns[order]
     first = np.flatnonzero(np.diff(stamps, prepend=stamps[0] - 1))
     steps, spans = np.diff(stamps[first]), logged[np.append(first[1:], len(stamps)) - 1] - logged[first]
-    return len(steps) > 0 and median(spans) < 0.5 * median(steps)
+    return len(steps) > 0 and median_by_sorting(spans) < 0.5 * median_by_sorting(steps)
 
 
-def _near(t_ns: Array) -> Array:
+def _is_near_bulk(t_ns: Array) -> Array:
     """True where a time is within a day of the bulk, unless over a tenth are not; False at time zero.
 
     Times over a year off are False unless most are: no log lasts that long.
@@ -135,28 +135,28 @@ def _near(t_ns: Array) -> Array:
     return keep & (t_ns > 0)
 
 
-def _offset(log_ns: Array, stamp_ns: Array | None, near: Array) -> tuple[int | None, float | None]:
+def _header_offset_ns(log_ns: Array, stamp_ns: Array | None, near: Array) -> tuple[int | None, float | None]:
     if stamp_ns is None or not near.any():
         return None, None
     late = (log_ns - stamp_ns)[near]
     # Relative to the first: float64 would round differences of fifty years to 256 ns.
-    low, middle, high = quantiles(late - late[0], (0.05, 0.5, 0.95))
+    low, middle, high = quantiles_by_sorting(late - late[0], (0.05, 0.5, 0.95))
     return int(late[0]) + round(middle), (high - low) / 1e9
 
 
-def quantiles(values: Array, wanted: Sequence[float]) -> list[float]:
+def quantiles_by_sorting(values: Array, wanted: Sequence[float]) -> list[float]:
     """The quantiles of values (n,) as in `np.quantile`, whose import takes longer than reading a small log."""
     ordered = np.sort(values)
     found = np.interp(np.multiply(wanted, len(ordered) - 1), np.arange(len(ordered)), ordered)
     return [float(value) for value in found]
 
 
-def median(values: Array) -> float:
+def median_by_sorting(values: Array) -> float:
     """The median of values (n,)."""
-    return quantiles(values, (0.5,))[0]
+    return quantiles_by_sorting(values, (0.5,))[0]
 
 
-def seconds(t_ns: Array, start_ns: int) -> Array:
+def seconds_since(t_ns: Array, start_ns: int) -> Array:
     """float64 seconds since start_ns; the int64 difference comes first, to keep nanoseconds."""
     return (t_ns - np.int64(start_ns)) / 1e9
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..logs.formats import open_log
 from ..logs.joint_units import SOURCE_UNIT, UNIT
-from ..logs.topic_names import escape
+from ..logs.topic_names import escape_topic_name
 from ..logs.topics import INDEPENDENT
 from ..settings import Settings
 from ..types import Batch, Outgoing, Recording, Topic
@@ -17,7 +17,7 @@ Beside = tuple[Outgoing, Mapping[str, str]]
 """Messages of a topic, and its metadata."""
 
 
-def of_episode(path: Path, settings: Settings) -> tuple[Settings, list[Beside]]:
+def settings_of_episode(path: Path, settings: Settings) -> tuple[Settings, list[Beside]]:
     """The settings with all cameras of a dataset's episode, and its topics that are neither joints nor images.
 
     Other logs give only the settings; cameras named in the settings stay the only ones.
@@ -29,13 +29,13 @@ def of_episode(path: Path, settings: Settings) -> tuple[Settings, list[Beside]]:
             return settings, []
         cameras = tuple(topic.name for topic in log.topics if topic.id in log.cameras)
         beside = [topic for topic in log.topics if topic.name != JOINTS and topic.id not in log.cameras]
-        kept = [_outgoing(topic, batch) for topic in beside for batch in log.batches((topic.id,))]
+        kept = [_topic_beside_signals(topic, batch) for topic in beside for batch in log.batches((topic.id,))]
     if settings.topics.camera is None and cameras:
         settings = replace(settings, topics=replace(settings.topics, camera=cameras))
     return settings, kept
 
 
-def _outgoing(topic: Topic, batch: Batch) -> Beside:
+def _topic_beside_signals(topic: Topic, batch: Batch) -> Beside:
     fields = (topic.name, topic.type, topic.definition, batch.log_ns, batch.data, batch.offset, batch.length)
     return Outgoing(*fields), topic.metadata
 
@@ -45,7 +45,7 @@ def kept_metadata(recording: Recording) -> dict[str, dict[str, str]]:
     found = {JOINTS: {**joints_metadata(recording), **(INDEPENDENT if recording.poses else {})}}
     for role in recording.roles:
         if role.partition("/")[0] == "camera":
-            under = f"/{escape(role.partition('/')[2])}" if "/" in role else "/camera"
+            under = f"/{escape_topic_name(role.partition('/')[2])}" if "/" in role else "/camera"
             found[under] = role_metadata(recording, role)
     return {topic: about for topic, about in found.items() if about}
 

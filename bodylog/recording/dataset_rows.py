@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..annotating.messages import stamps
+from ..annotating.messages import stamps_ns
 from ..errors import BodylogError, FormatError, LogError
 from ..logs.datasets.episode_log import DTYPE, FEATURE, JOINT_STATE, TEXT, VECTOR
 from ..logs.formats import open_log
@@ -15,10 +15,10 @@ from ..logs.joint_units import SOURCE_UNIT, UNIT, joint_unit
 from ..logs.library import OpenLog
 from ..logs.topic_names import PREFIX
 from ..settings import Settings
-from ..types import Array, Finding, Frame, Recording, Topic
+from ..types import Array, Finding, LazyImage, Recording, Topic
 from . import dataset_metadata, roles
-from .cameras import camera_name
-from .recording import read
+from .cameras import camera_name_of_source
+from .recording import read_recording
 
 STATE, ACTION, IMAGES = "observation.state", "action", "observation.images."
 
@@ -35,7 +35,7 @@ class Feature:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class DatasetCamera:
     """A camera of a dataset: size (width, height) px, own times ns (N,) int64, and a function for its row images.
 
     `unread`: rows without a readable image, which repeat the previous one; known once images were read.
@@ -48,42 +48,42 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class DatasetRows:
     """An episode to write: times of the rows ns (N,) int64, features and cameras by name, task, rate (Hz), robot."""
 
     ns: Array
     features: Mapping[str, Feature]
-    views: Mapping[str, View]
+    views: Mapping[str, DatasetCamera]
     task: str
     fps: float
     robot: str | None
     findings: Sequence[Finding]
 
 
-def rows(
+def read_dataset_rows(
     path: Path, settings: Settings, task: str | None = None, start: float | None = None, end: float | None = None
-) -> Rows:
+) -> DatasetRows:
     """The rows of a log from `start` to `end` (s since its first joints); LogError without joints and images."""
-    recording = read(path, _every_camera(path, settings), settings.input.strict)
+    recording = read_recording(path, _every_camera(path, settings), settings.input.strict)
     joints = dataset_metadata.joints_metadata(recording)
     findings = list(recording.findings)
-    features, text = _features(path, recording, joints, findings)
+    features, text = _signal_features(path, recording, joints, findings)
     films = {} if recording.frames is None else {"": recording.frames}
     films |= dict(recording.views)
-    taken = {name: np.array([_ns(recording, one) for one in film()], np.int64) for name, film in films.items()}
-    ns = _chosen(path, [*taken.values(), *(one.ns for one in features.values())], recording.start_ns, start, end)
+    taken = {name: np.array([_frame_time_ns(recording, one) for one in film()], np.int64) for name, film in films.items()}
+    ns = _choose_row_times(path, [*taken.values(), *(one.ns for one in features.values())], recording.start_ns, start, end)
     views = {
-        _camera(name, recording): view
+        _camera_feature_name(name, recording): view
         for name in films
-        if (view := _view(path, name, films[name], taken[name], ns, findings)) is not None
+        if (view := _view_of_camera(path, name, films[name], taken[name], ns, findings)) is not None
     }
-    at_rows = {name: _at(one, ns) for name, one in features.items()}
-    findings += _apart(path, {**at_rows, **views}, ns)
+    at_rows = {name: _feature_at_rows(one, ns) for name, one in features.items()}
+    findings += _findings_on_time_apart(path, {**at_rows, **views}, ns)
     task = text if task is None else task
-    return Rows(ns, at_rows, views, task, _rate(joints, ns), joints.get("bodylog.robot"), findings)
+    return DatasetRows(ns, at_rows, views, task, _rows_per_second(joints, ns), joints.get("bodylog.robot"), findings)
 
 
-def images(path: Path, settings: Settings) -> int:
+def count_row_images(path: Path, settings: Settings) -> int:
     """Images of a whole log's rows: one of each camera for each of the first one's; 0 without an image topic."""
     names = _every_camera(path, settings).topics.cameras
     with open_log(path, settings.input.strict, settings.input) as log:
@@ -91,7 +91,7 @@ def images(path: Path, settings: Settings) -> int:
     return len(names) * first
 
 
-def nearest(of: Array, at: Array) -> Array:
+def nearest_indices(of: Array, at: Array) -> Array:
     """Index of the time in `of` (n,), ascending, nearest to each of `at` (m,); the earlier one of two equally near."""
     after = np.minimum(np.searchsorted(of, at), len(of) - 1)
     before = np.maximum(after - 1, 0)
@@ -103,38 +103,38 @@ def _every_camera(path: Path, settings: Settings) -> Settings:
     if settings.topics.camera is not None:
         return settings
     with open_log(path, settings.input.strict, settings.input) as log:
-        some = {topic.name for topic in log.topics if roles.is_raw(topic) and _is_camera(topic)}
+        some = {topic.name for topic in log.topics if roles.is_raw(topic) and _is_readable_camera(topic)}
     return replace(settings, topics=replace(settings.topics, camera=tuple(sorted(some)) or None))
 
 
-def _is_camera(topic: Topic) -> bool:
-    return roles.camera_rank(topic) is not None and roles.problem(topic) is None
+def _is_readable_camera(topic: Topic) -> bool:
+    return roles.camera_rank(topic) is not None and roles.problem_with_definition(topic) is None
 
 
-def _ns(recording: Recording, frame: Frame) -> int:
+def _frame_time_ns(recording: Recording, frame: LazyImage) -> int:
     return recording.start_ns + round(frame.t * 1e9)
 
 
-def _features(
+def _signal_features(
     path: Path, recording: Recording, about: Mapping[str, str], findings: list[Finding]
 ) -> tuple[dict[str, Feature], str]:
     """Signals of a log by the names of their features, and its first task."""
     found: dict[str, Feature] = {}
     if recording.skin is not None:
         skin = recording.skin
-        found["observation.skin"] = Feature(skin.values, skin.names, stamps(skin.t, recording.start_ns))
+        found["observation.skin"] = Feature(skin.values, skin.names, stamps_ns(skin.t, recording.start_ns))
     paths, left, task = list(recording.roles.values()), list[str](), ""
     used = {t.name for t in recording.topics for path in paths if path == t.name or path.startswith(f"{t.name}.")}
     with OpenLog(path) as log:
         if recording.joints is not None and len(recording.joints.t):
-            found = {about.get(FEATURE, STATE): _joints(log, recording, about)} | found
+            found = {about.get(FEATURE, STATE): _joint_feature(log, recording, about)} | found
         for topic in recording.topics:
-            if topic.name in used or topic.name.startswith(PREFIX) or not topic.messages or _is_camera(topic):
+            if topic.name in used or topic.name.startswith(PREFIX) or not topic.messages or _is_readable_camera(topic):
                 continue
             if topic.type == TEXT and topic.metadata.get(FEATURE) == "task":
                 task = str(next(iter(log.messages([topic.name]))).value.data)
-            elif (one := _numbers(log, topic)) is not None:
-                found.setdefault(topic.metadata.get(FEATURE) or _name(topic, found), one)
+            elif (one := _number_feature(log, topic)) is not None:
+                found.setdefault(topic.metadata.get(FEATURE) or _feature_name(topic, found), one)
             else:
                 left.append(topic.name)
     if left:
@@ -142,13 +142,13 @@ def _features(
     return found, task
 
 
-def _joints(log: OpenLog, recording: Recording, about: Mapping[str, str]) -> Feature:
+def _joint_feature(log: OpenLog, recording: Recording, about: Mapping[str, str]) -> Feature:
     """The joints as in their topic if it is the only one and is read whole; else as converted."""
     joints = recording.joints
     assert joints is not None
-    ns, names = stamps(joints.t, recording.start_ns), joints.names
+    ns, names = stamps_ns(joints.t, recording.start_ns), joints.names
     topic = next((one for one in recording.topics if one.name == recording.roles.get("joints")), None)
-    own = None if topic is None else _numbers(log, topic)
+    own = None if topic is None else _number_feature(log, topic)
     values, unit = joints.values, joints.unit
     if own is not None and own.names == names and np.array_equal(own.ns, ns):
         values, unit = own.values, about.get(UNIT, "") if topic is None else topic.metadata.get(UNIT, joints.unit)
@@ -161,7 +161,7 @@ def _joints(log: OpenLog, recording: Recording, about: Mapping[str, str]) -> Fea
     return Feature(values, names, ns, about.get(DTYPE, ""), unit)
 
 
-def _numbers(log: OpenLog, topic: Topic) -> Feature | None:
+def _number_feature(log: OpenLog, topic: Topic) -> Feature | None:
     """The joints or numbers of a topic, in time order; None for another type, or for changing names."""
     fields = {JOINT_STATE: ("name", "position"), VECTOR: ("names", "data")}.get(topic.type)
     if fields is None:
@@ -179,14 +179,14 @@ def _numbers(log: OpenLog, topic: Topic) -> Feature | None:
     return Feature(np.asarray(values, float)[order], texts, ns[order], about.get(DTYPE, ""), about.get(UNIT, ""))
 
 
-def _name(topic: Topic, taken: Mapping[str, Feature]) -> str:
+def _feature_name(topic: Topic, taken: Mapping[str, Feature]) -> str:
     """`action` for the first joint commands, else observation.TOPIC."""
     if topic.type == JOINT_STATE and roles.is_command(topic) and ACTION not in taken:
         return ACTION
     return f"observation.{topic.name.strip('/').replace('/', '.')}"
 
 
-def _chosen(path: Path, streams: Sequence[Array], start_ns: int, start: float | None, end: float | None) -> Array:
+def _choose_row_times(path: Path, streams: Sequence[Array], start_ns: int, start: float | None, end: float | None) -> Array:
     """The times of the rows: those of the first stream that is not empty."""
     first = next((ns for ns in streams if len(ns)), None)
     if first is None:
@@ -199,30 +199,30 @@ def _chosen(path: Path, streams: Sequence[Array], start_ns: int, start: float | 
     return np.asarray(ns[within])
 
 
-def _at(one: Feature, ns: Array) -> Feature:
-    which = nearest(one.ns, ns)
+def _feature_at_rows(one: Feature, ns: Array) -> Feature:
+    which = nearest_indices(one.ns, ns)
     return replace(one, values=one.values[which], ns=one.ns[which])
 
 
-def _camera(name: str, recording: Recording) -> str:
+def _camera_feature_name(name: str, recording: Recording) -> str:
     """The name of a camera's feature: as in the log's dataset, else from its topic."""
     known = dataset_metadata.role_metadata(recording, f"camera/{name}" if name else "camera").get(FEATURE)
-    return known or f"{IMAGES}{(name or camera_name(recording.roles['camera'])).replace('/', '.')}"
+    return known or f"{IMAGES}{(name or camera_name_of_source(recording.roles['camera'])).replace('/', '.')}"
 
 
-def _view(
-    path: Path, name: str, film: Callable[[], Iterator[Frame]], taken: Array, ns: Array, findings: list[Finding]
-) -> View | None:
+def _view_of_camera(
+    path: Path, name: str, film: Callable[[], Iterator[LazyImage]], taken: Array, ns: Array, findings: list[Finding]
+) -> DatasetCamera | None:
     """A camera with an image for each row; None, and a finding, without readable images."""
-    size = next((found for frame in film() if (found := _size(frame)) is not None), None)
+    size = next((found for frame in film() if (found := _frame_size(frame)) is not None), None)
     if size is None:
         findings.append(Finding("lost", f"{path}: camera {name or 'camera'}: no image can be read; it is left out"))
         return None
-    which, unread = nearest(taken, ns), set[int]()
-    return View(size, taken[which], partial(_images, film, which, size, unread), unread)
+    which, unread = nearest_indices(taken, ns), set[int]()
+    return DatasetCamera(size, taken[which], partial(_images_of_rows, film, which, size, unread), unread)
 
 
-def _size(frame: Frame) -> tuple[int, int] | None:
+def _frame_size(frame: LazyImage) -> tuple[int, int] | None:
     try:
         height, width = frame.decode(1).shape[:2]
     except FormatError:
@@ -230,8 +230,8 @@ def _size(frame: Frame) -> tuple[int, int] | None:
     return width, height
 
 
-def _images(
-    film: Callable[[], Iterator[Frame]], which: Array, size: tuple[int, int], unread: set[int]
+def _images_of_rows(
+    film: Callable[[], Iterator[LazyImage]], which: Array, size: tuple[int, int], unread: set[int]
 ) -> Iterator[Array]:
     """An image for each row; an unreadable one repeats the previous image, black for the first."""
     frames, number = enumerate(film()), -1
@@ -247,7 +247,7 @@ def _images(
         yield image
 
 
-def _apart(path: Path, streams: Mapping[str, Feature | View], ns: Array) -> Iterator[Finding]:
+def _findings_on_time_apart(path: Path, streams: Mapping[str, Feature | DatasetCamera], ns: Array) -> Iterator[Finding]:
     """Streams whose times differ from the rows'."""
     far = {name: float(np.abs(one.ns - ns).max()) / 1e9 for name, one in streams.items()}
     off = [f"{name} up to {distance:.3g} s" for name, distance in far.items() if distance > 0]
@@ -256,7 +256,7 @@ def _apart(path: Path, streams: Mapping[str, Feature | View], ns: Array) -> Iter
         yield Finding("info", f"{path}: {text}: {', '.join(off)} apart; their own times are kept in NAME.stamp_ns")
 
 
-def _rate(about: Mapping[str, str], ns: Array) -> float:
+def _rows_per_second(about: Mapping[str, str], ns: Array) -> float:
     """Rows per second: as the dataset declares, else their median, to four digits."""
     try:
         declared = float(about.get("bodylog.fps", ""))

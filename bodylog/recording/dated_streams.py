@@ -9,14 +9,14 @@ import numpy as np
 
 from ..errors import BodylogError, ConfigError, FormatError, LogError
 from ..io.values import reject_impossible
-from ..logs.decode.columns import Source, columns, columns_of
-from ..logs.decode.parts import Columns
+from ..logs.decode.columns import Source, read_topic_columns, columns_of
+from ..logs.decode.parts import TopicColumns
 from ..logs.images import messages
-from ..logs.joint_units import counts as counted
+from ..logs.joint_units import parse_count_unit as counted
 from ..logs.joint_units import joint_unit
 from ..logs.protocol import Log
 from ..logs.records import Array, Batch, Finding, Topic
-from ..logs.topics import independent
+from ..logs.topics import has_independent_poses
 from ..settings import Settings
 from . import role_values
 from .clock_steps import ClockStep, Mended, Times, mend_clocks
@@ -45,7 +45,7 @@ class Stream(NamedTuple):
     fallback: int
     beyond: int
     wraps: Mapping[str, int]
-    sets: tuple[role_values.Named, ...]
+    sets: tuple[role_values.JointNameSet, ...]
     unit: str
     shifted_s: float = 0.0
     steps: tuple[ClockStep, ...] = ()
@@ -59,14 +59,14 @@ def read_streams(
     LogError when a role named in robot.toml has none.
     """
     alone = sum(role.role == "joints" for role in found.values()) < 2
-    read = _columns(log, found, name)
-    signals = {role: _undated(*source, settings, name, alone) for role, source in read.items()}
-    mended = mend_clocks({role: _times(*read[role], signal) for role, signal in signals.items()})
-    timing = _rising(
-        {role: _stream(*read[role], signals[role], mended[role], settings, name) for role in read}
+    read = _read_role_columns(log, found, name)
+    signals = {role: _signal_in_file_order(*source, settings, name, alone) for role, source in read.items()}
+    mended = mend_clocks({role: _times_of_signal(*read[role], signal) for role, signal in signals.items()})
+    timing = _reject_falling_streams(
+        {role: _date_stream(*read[role], signals[role], mended[role], settings, name) for role in read}
     )
     usable = {role: stream for role, stream in timing.items() if len(stream.timing.t_ns)}
-    empty = (_empty(stream, settings, name) for role, stream in timing.items() if role not in usable)
+    empty = (_finding_on_empty_stream(stream, settings, name) for role, stream in timing.items() if role not in usable)
     return _one_epoch(usable), tuple(empty)
 
 
@@ -75,7 +75,7 @@ def joints_of(log: Log) -> Callable[[Topic], tuple[str, ...]]:
 
     def names(topic: Topic) -> tuple[str, ...]:
         try:
-            found = columns(_Beginning(log), topic, ("name", "position"))
+            found = read_topic_columns(_Beginning(log), topic, ("name", "position"))
         except BodylogError:
             return ()
         nameless = max((np.shape(part.values[1])[-1] for part in found.parts), default=0)
@@ -94,13 +94,13 @@ class _Beginning(NamedTuple):
         return islice(self.log.batches(ids), 1)
 
 
-def _columns(log: Source, found: Mapping[str, Role], name: str) -> dict[str, tuple[Role, tuple[Columns, ...]]]:
+def _read_role_columns(log: Source, found: Mapping[str, Role], name: str) -> dict[str, tuple[Role, tuple[TopicColumns, ...]]]:
     fields: dict[int, dict[str, None]] = {}
     topics = {topic.id: topic for role in found.values() for topic in role.topics}
     for role in found.values():
         for topic in role.topics:
             stamp = stamp_field(topic)
-            wanted = dict.fromkeys([stamp] if stamp else []) | dict.fromkeys(_fields(role))
+            wanted = dict.fromkeys([stamp] if stamp else []) | dict.fromkeys(_fields_of_role(role))
             fields.setdefault(topic.id, {}).update(wanted)
     try:
         read = columns_of(log, {id_: (topics[id_], tuple(names)) for id_, names in fields.items()})
@@ -112,34 +112,34 @@ def _columns(log: Source, found: Mapping[str, Role], name: str) -> dict[str, tup
     return {name: (role, tuple(read[topic.id] for topic in role.topics)) for name, role in found.items()}
 
 
-def _fields(role: Role) -> tuple[str, ...]:
+def _fields_of_role(role: Role) -> tuple[str, ...]:
     if role.role == "camera":
         return (messages.text_field(role.topics[0]),)
     return (role.field,) if role.field else _JOINT_FIELDS
 
 
-def _undated(
-    role: Role, read: tuple[Columns, ...], settings: Settings, name: str, alone: bool
-) -> role_values.Signal:
+def _signal_in_file_order(
+    role: Role, read: tuple[TopicColumns, ...], settings: Settings, name: str, alone: bool
+) -> role_values.RoleSignal:
     """A role's values and stamps in the file's order."""
     stamp = stamp_field(role.topics[0])
-    found = list(role_values.blocks(read, stamp, _fields(role)))
-    return _signal(role, found, settings, f"{name}: {role.topic}", alone)
+    found = list(role_values.read_blocks(read, stamp, _fields_of_role(role)))
+    return _signal_of_blocks(role, found, settings, f"{name}: {role.topic}", alone)
 
 
-def _times(role: Role, read: tuple[Columns, ...], signal: role_values.Signal) -> Times:
+def _times_of_signal(role: Role, read: tuple[TopicColumns, ...], signal: role_values.RoleSignal) -> Times:
     """The times of a signal's messages; a table of still poses has no clock."""
     log_ns = np.concatenate([some.log_ns for some in read])[signal.rows]
-    if independent(role.topics):
+    if has_independent_poses(role.topics):
         return Times(log_ns[:0], None)
     ends = np.cumsum([len(some.log_ns) for some in read])[:-1]
     return Times(log_ns, signal.stamp_ns, tuple(np.searchsorted(signal.rows, ends).tolist()))
 
 
-def _stream(
+def _date_stream(
     role: Role,
-    read: tuple[Columns, ...],
-    signal: role_values.Signal,
+    read: tuple[TopicColumns, ...],
+    signal: role_values.RoleSignal,
     mended: Mended,
     settings: Settings,
     name: str,
@@ -150,7 +150,7 @@ def _stream(
     if choice == "header" and signal.stamp_ns is None and len(signal.rows):
         raise LogError(f'{name}: [time] {role.role} = "header", but {role.topic} has no header; use "log" or "auto"')
     by_name = role.role in ("joints", "truth", "reference")
-    if independent(role.topics):
+    if has_independent_poses(role.topics):
         mended = Mended(log_ns[signal.rows], signal.stamp_ns)
     timing = order_by_time(mended.log_ns, mended.stamp_ns, choice, distinct=not by_name)
     values, idle, beyond, wraps = signal.values[timing.rows], 0, 0, dict[str, int]()
@@ -159,9 +159,9 @@ def _stream(
     unit = joint_unit(role.topics[0].metadata, unit_text)
     if by_name:
         converted = values if unit.factor == 1.0 else (values - unit.zero) * unit.factor
-        keep, values, idle = role_values.merged(timing.t_ns, converted)
+        keep, values, idle = role_values.merge_equal_stamps(timing.t_ns, converted)
         timing = timing._replace(t_ns=timing.t_ns[keep], rows=timing.rows[keep])
-        values, beyond, turns = role_values.angles(values[keep], None if independent(role.topics) else unit.turn)
+        values, beyond, turns = role_values.unwrap_angles(values[keep], None if has_independent_poses(role.topics) else unit.turn)
         wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
     elif values.dtype.kind == "f":
         values, beyond = reject_impossible(values)
@@ -175,38 +175,38 @@ def _stream(
     )  # fmt: skip
 
 
-def _signal(
+def _signal_of_blocks(
     role: Role, found: list[role_values.Block], settings: Settings, what: str, alone: bool
-) -> role_values.Signal:
+) -> role_values.RoleSignal:
     if role.role == "camera":
         seen = {str(text) for _, _, (names,) in found for text in names}
-        return role_values.texts(found, {text: messages.refusal(role.topics[0], text) for text in seen})
+        return role_values.signal_of_texts(found, {text: messages.explain_refused_image(role.topics[0], text) for text in seen})
     if not role.field:
         wanted = settings.body.joints if alone or role.role != "joints" else None
-        return role_values.joints(found, wanted, what, role.role == "joints", settings.input)
-    signal = role_values.array(found)
+        return role_values.joints_by_name(found, wanted, what, role.role == "joints", settings.input)
+    signal = role_values.signal_of_arrays(found)
     if role.role == "skin" or not len(signal.rows):
-        return role_values.proximities(signal) if role.unsure else signal
+        return role_values.reject_non_proximities(signal) if role.unsure else signal
     nameless = [(signal.rows, signal.stamp_ns, ((), signal.values))]
-    return role_values.joints(nameless, settings.body.joints, what, limits=settings.input)
+    return role_values.joints_by_name(nameless, settings.body.joints, what, limits=settings.input)
 
 
-def _empty(stream: Stream, settings: Settings, name: str) -> Finding:
-    why, role = reasons(stream) or "it is empty", stream.role
+def _finding_on_empty_stream(stream: Stream, settings: Settings, name: str) -> Finding:
+    why, role = rejection_reasons(stream) or "it is empty", stream.role
     if getattr(settings.topics, role.role) is not None:
         raise LogError(f"{name}: no usable message on {role.topic}: {why}")
     return Finding("warning", f"{role.role}: {role.topic} was considered, but has no usable message: {why}")
 
 
-def _rising(found: dict[str, Stream]) -> dict[str, Stream]:
+def _reject_falling_streams(found: dict[str, Stream]) -> dict[str, Stream]:
     """Reject streams whose times fall while others' rise; if all fall, the file is stored backwards."""
     falling = [role for role, stream in found.items() if stream.timing.falls]
     if len(falling) == len([stream for stream in found.values() if len(stream.rows)]):
         return found
-    return found | {role: _without(found[role]) for role in falling}
+    return found | {role: _reject_all_messages(found[role]) for role in falling}
 
 
-def _without(stream: Stream) -> Stream:
+def _reject_all_messages(stream: Stream) -> Stream:
     """The stream with all its messages rejected."""
     none = stream.timing._replace(t_ns=stream.timing.t_ns[:0], rows=stream.timing.rows[:0])
     rejected = Counter(stream.rejected) + Counter({"time runs backwards": len(stream.rows)})
@@ -219,15 +219,15 @@ def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:
     """Shift streams whose clocks are over a minute apart to the first one's, through their log times."""
     behind = {role: (s.timing.offset_ns or 0) if s.timing.clock == "header" else 0 for role, s in found.items()}
     first = next(iter(behind.values()), 0)
-    return {role: _shifted(stream, behind[role] - first) for role, stream in found.items()}
+    return {role: _shift_stream(stream, behind[role] - first) for role, stream in found.items()}
 
 
-def _shifted(stream: Stream, by_ns: int) -> Stream:
+def _shift_stream(stream: Stream, by_ns: int) -> Stream:
     if abs(by_ns) < _MINUTE:
         return stream
     return stream._replace(timing=stream.timing._replace(t_ns=stream.timing.t_ns + by_ns), shifted_s=by_ns / 1e9)
 
 
-def reasons(stream: Stream) -> str:
+def rejection_reasons(stream: Stream) -> str:
     """How many messages of a stream were rejected, by reason."""
     return ", ".join(f"{count} ({reason})" for reason, count in sorted(stream.rejected.items()))

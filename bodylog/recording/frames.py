@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from ..logs.decode.cursor import Payload
-from ..logs.formats import open_log, payloads
+from ..logs.formats import open_log, payload_views
 from ..logs.images import messages
 from ..logs.limits import Input
 from ..logs.protocol import Log
 from ..logs.storage.mmapped import is_mapped
-from ..types import Array, Batch, ConsumedFrames, Frame, FrameConsumer, Topic
-from .clocks import seconds
+from ..types import Array, Batch, ConsumedFrames, LazyImage, FrameConsumer, Topic
+from .clocks import seconds_since
 
 
 class FrameTap:
@@ -23,7 +23,7 @@ class FrameTap:
     def __init__(self, log: Log, topics: tuple[Topic, ...], consumer: FrameConsumer, limits: Input) -> None:
         """The camera's topics: one name, several ids if it has several schemas."""
         self._log, self._consumer, self._count = log, consumer, 0
-        self._decoders = {topic.id: messages.decoder(topic, limits.max_image_mpx) for topic in topics}
+        self._decoders = {topic.id: messages.make_image_decoder(topic, limits.max_image_mpx) for topic in topics}
         self._shrinks = {topic.id: topic.type in messages.COMPRESSED for topic in topics}
         self._numbers: dict[int, list[Array]] = {topic.id: [np.empty(0, np.int64)] for topic in topics}
 
@@ -37,17 +37,17 @@ class FrameTap:
     def consumed(self, rows: Array, t_ns: Array, source_ns: Array, start_ns: int) -> ConsumedFrames:
         """The passed frames with times t_ns (n,): the messages rows (n,), counted through the topics in order."""
         numbers = np.concatenate([number for some in self._numbers.values() for number in some])
-        return ConsumedFrames(seconds(t_ns, start_ns), source_ns, numbers[rows], self._consumer)
+        return ConsumedFrames(seconds_since(t_ns, start_ns), source_ns, numbers[rows], self._consumer)
 
     def _pass_on(self, batch: Batch) -> None:
         id_ = batch.topic_id
         self._numbers[id_].append(np.arange(self._count, self._count + len(batch.log_ns)))
         self._count += len(batch.log_ns)
-        for log_ns, decode in zip(batch.log_ns.tolist(), _decodes(batch, self._decoders[id_]), strict=True):
-            self._consumer(Frame(float("nan"), log_ns, decode, self._shrinks[id_]))
+        for log_ns, decode in zip(batch.log_ns.tolist(), _message_decoders(batch, self._decoders[id_]), strict=True):
+            self._consumer(LazyImage(float("nan"), log_ns, decode, self._shrinks[id_]))
 
 
-def frames(
+def read_frames_lazily(
     path: Path,
     limits: Input,
     topics: tuple[Topic, ...],
@@ -55,7 +55,7 @@ def frames(
     rows: Array,
     t_ns: Array,
     start_ns: int,
-) -> Callable[[], Iterator[Frame]]:
+) -> Callable[[], Iterator[LazyImage]]:
     """A function that reads the log again and yields the frames at t_ns (m,), which are the messages rows (m,).
 
     Rows count through the topics in order, `counts` messages each. Early messages are held back, so memory grows with
@@ -65,14 +65,14 @@ def frames(
     rank[rows] = np.arange(len(rows))
     starts = np.concatenate([[0], np.cumsum(counts)])[:-1]
     places = {topic.id: rank[start : start + n] for topic, start, n in zip(topics, starts, counts, strict=True)}
-    decoders = {topic.id: messages.decoder(topic, limits.max_image_mpx) for topic in topics}
+    decoders = {topic.id: messages.make_image_decoder(topic, limits.max_image_mpx) for topic in topics}
     shrink = {topic.id: topic.type in messages.COMPRESSED for topic in topics}
-    t = seconds(t_ns, start_ns)
+    t = seconds_since(t_ns, start_ns)
 
-    def read() -> Iterator[Frame]:
-        waiting: list[tuple[int, Frame]] = []
+    def read() -> Iterator[LazyImage]:
+        waiting: list[tuple[int, LazyImage]] = []
         due = 0
-        for number, frame in _frames(path, limits, places, decoders, shrink, t):
+        for number, frame in _numbered_frames(path, limits, places, decoders, shrink, t):
             heapq.heappush(waiting, (number, frame))
             while waiting and waiting[0][0] == due:
                 yield heapq.heappop(waiting)[1]
@@ -81,27 +81,27 @@ def frames(
     return read
 
 
-def _frames(
+def _numbered_frames(
     path: Path,
     limits: Input,
     places: dict[int, Array],
     decoders: dict[int, Callable[[Payload, int], Array]],
     shrink: dict[int, bool],
     t: Array,
-) -> Iterator[tuple[int, Frame]]:
+) -> Iterator[tuple[int, LazyImage]]:
     seen = dict.fromkeys(places, 0)
     with open_log(path, limits.strict, limits) as log:
         for batch in log.batches(tuple(places)):
             id_ = batch.topic_id
             numbers = places[id_][seen[id_] : seen[id_] + len(batch.log_ns)].tolist()
             seen[id_] += len(batch.log_ns)
-            decodes = _decodes(batch, decoders[id_])
+            decodes = _message_decoders(batch, decoders[id_])
             for number, log_ns, decode in zip(numbers, batch.log_ns.tolist(), decodes, strict=True):
                 if number >= 0:
-                    yield number, Frame(float(t[number]), log_ns, decode, shrink[id_])
+                    yield number, LazyImage(float(t[number]), log_ns, decode, shrink[id_])
 
 
-def _decodes(batch: Batch, decode: Callable[[Payload, int], Array]) -> Iterator[Callable[[int], Array]]:
+def _message_decoders(batch: Batch, decode: Callable[[Payload, int], Array]) -> Iterator[Callable[[int], Array]]:
     """A decoder for each message of a batch, on a copy of its bytes unless the batch's stay valid."""
     keep = is_mapped(batch.data)
-    return (partial(decode, payload if keep else bytes(payload)) for payload in payloads(batch))
+    return (partial(decode, payload if keep else bytes(payload)) for payload in payload_views(batch))

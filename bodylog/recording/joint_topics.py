@@ -12,13 +12,13 @@ def streams_of(streams: Mapping[str, Stream]) -> list[Stream]:
     return [stream for stream in streams.values() if stream.role.role == "joints"]
 
 
-def beside(streams: Mapping[str, Stream], settings: Settings) -> tuple[str, ...]:
+def unconfigured_joints(streams: Mapping[str, Stream], settings: Settings) -> tuple[str, ...]:
     """Joints of further topics that were found without being configured."""
     found, guessed = streams_of(streams), settings.topics.joints is None
     return tuple(name for names in own_names(found)[1:] for name in names) if guessed else ()
 
 
-def names(streams: Mapping[str, Stream]) -> tuple[str, ...]:
+def merged_joint_names(streams: Mapping[str, Stream]) -> tuple[str, ...]:
     """All joints, by their names in the merged signal."""
     return tuple(name for some in own_names(streams_of(streams)) for name in some)
 
@@ -32,7 +32,7 @@ def own_names(found: Sequence[Stream]) -> list[tuple[str, ...]]:
     return [tuple(f"{topic_name(s.role.topic)}/{n}" if counts[n] > 1 else n for n in s.names) for s in found]
 
 
-def unit(streams: Mapping[str, Stream]) -> str | None:
+def unit_of_joints(streams: Mapping[str, Stream]) -> str | None:
     """The unit of the converted joints: rad, counts or unknown; None without joints."""
     found = streams_of(streams)
     return common_unit(found) if found else None

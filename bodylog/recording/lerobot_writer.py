@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError, UsageError
-from ..io.atomic_files import sync, writable
-from ..io.temporary import scratch
-from ..logs.datasets.encode import Codec, codec, encode
+from ..io.atomic_files import sync_to_disk, require_writable
+from ..io.temporary import create_scratch_folder
+from ..logs.datasets.encode import Codec, find_codec, encode_video
 from ..logs.datasets.extra import require_module
-from ..logs.datasets.statistics import Sampled, of_numbers, together
+from ..logs.datasets.statistics import Sampled, of_numbers, combine_statistics
 from ..logs.protocol import Progress
 from ..settings import Settings
 from ..types import Array, Finding
-from .dataset_rows import Feature, Rows, View, rows
+from .dataset_rows import Feature, DatasetRows, DatasetCamera, read_dataset_rows
 
 V3, V21 = FORMS = "lerobot", "lerobot-2.1"
 STAMP = ".stamp_ns"
@@ -51,7 +51,7 @@ class _Written:
     frames: int = 0
 
 
-def write(
+def write_lerobot(
     logs: Sequence[Path], out: Path, settings: Settings, form: str = V3, how: str = "lossless",
     task: str | None = None, progress: Progress | None = None, start: float | None = None, end: float | None = None,
 ) -> tuple[Finding, ...]:  # fmt: skip
@@ -63,15 +63,15 @@ def write(
     for module in ("pyarrow", "av"):
         require_module(module, out)
     out = new_folder(out)
-    with scratch(out.parent) as folder:
-        done = _Written(folder / out.name, form, codec(how), progress)
+    with create_scratch_folder(out.parent) as folder:
+        done = _Written(folder / out.name, form, find_codec(how), progress)
         done.folder.mkdir()
-        findings = [one for log in logs for one in _episode(done, rows(log, settings, task, start, end), log)]
-        _meta(done)
+        findings = [one for log in logs for one in _write_episode(done, read_dataset_rows(log, settings, task, start, end), log)]
+        _write_metadata_files(done)
         for path in sorted(done.folder.rglob("*")):
-            sync(path)
+            sync_to_disk(path)
         done.folder.rename(out)
-        sync(out.parent)
+        sync_to_disk(out.parent)
     return tuple(dict.fromkeys(findings))
 
 
@@ -79,21 +79,21 @@ def new_folder(out: Path) -> Path:
     """The folder to make; UsageError if it exists."""
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise UsageError(f"{out}: already exists; give the name of a new folder with -o")
-    writable(out.absolute().parent, folder=True)
+    require_writable(out.absolute().parent, folder=True)
     if not out.absolute().parent.is_dir():
         raise UsageError(f"{out}: there is no folder {out.parent}; type: mkdir -p {out.parent}")
     return out
 
 
-def _episode(done: _Written, found: Rows, log: Path) -> Sequence[Finding]:
+def _write_episode(done: _Written, found: DatasetRows, log: Path) -> Sequence[Finding]:
     """Write one episode's table and videos; returns findings."""
     number, count = len(done.episodes), len(found.ns)
-    columns, features = _columns(found), _declared(found, done.codec)
+    columns, features = _episode_columns(found), _declare_features(found, done.codec)
     if done.episodes and set(features) != set(done.features):
         odd = ", ".join(sorted(set(features) ^ set(done.features)))
         raise FormatError(f"{log}: its streams are not those of the first log: {odd}; convert it on its own")
     done.features, done.fps, done.robot = features, found.fps, found.robot
-    keys = _keys(done.form, number)
+    keys = _placeholder_values(done.form, number)
     task = done.tasks.setdefault(found.task, len(done.tasks))
     t = np.arange(count) / found.fps  # LeRobot finds image k of a video as frame round(t * fps)
     counted: dict[str, Array] = {
@@ -101,22 +101,22 @@ def _episode(done: _Written, found: Rows, log: Path) -> Sequence[Finding]:
         "episode_index": np.full(count, number), "index": done.frames + np.arange(count),
         "task_index": np.full(count, task),
     }  # fmt: skip
-    _table(done.folder / _PATHS[done.form][0].format(**keys), columns | counted)
+    _write_parquet_table(done.folder / _PATHS[done.form][0].format(**keys), columns | counted)
     row: dict[str, Any] = {"episode_index": number, "tasks": [found.task], "length": count}
     if done.form == V3:
         row |= {"dataset_from_index": done.frames, "dataset_to_index": done.frames + count}
         row |= {f"data/{name}": keys[name] for name in ("chunk_index", "file_index")}
     stats = {name: of_numbers(values) for name, values in (columns | counted).items()}
-    findings = [*found.findings, *_regular(found, t, log)]
+    findings = [*found.findings, *_findings_on_row_times(found, t, log)]
     for name, view in found.views.items():
-        findings += _video(done, name, view, t, keys, row, stats, log)
+        findings += _write_video(done, name, view, t, keys, row, stats, log)
     done.episodes.append(row)
     done.stats.append(stats)
     done.frames += count
     return findings
 
 
-def _regular(found: Rows, t: Array, log: Path) -> Iterator[Finding]:
+def _findings_on_row_times(found: DatasetRows, t: Array, log: Path) -> Iterator[Finding]:
     """A remark where the rows' times are not those (s) that LeRobot expects."""
     apart = float(np.abs((found.ns - found.ns[0]) / 1e9 - t).max(initial=0.0))
     if apart > _TOLERANCE:
@@ -125,18 +125,18 @@ def _regular(found: Rows, t: Array, log: Path) -> Iterator[Finding]:
         yield Finding(severity, f"{log}: {text} {apart:.3g} s, and are kept in NAME{STAMP}")
 
 
-def _keys(form: str, number: int) -> dict[str, Any]:
+def _placeholder_values(form: str, number: int) -> dict[str, Any]:
     """The values for a path's placeholders: one file per episode."""
     if form == V21:
         return {"episode_chunk": number // _CHUNK, "episode_index": number}
     return {"chunk_index": number // _CHUNK, "file_index": number % _CHUNK}
 
 
-def _columns(found: Rows) -> dict[str, Array]:
+def _episode_columns(found: DatasetRows) -> dict[str, Array]:
     """Features by name, (N,K) or (N,), and the times of those that differ from the rows'."""
     columns: dict[str, Array] = {}
     for name, one in found.features.items():
-        values = _cast(one)
+        values = _cast_to_declared(one)
         columns[name] = values[:, 0] if values.shape[1] == 1 else values
     stamps = {name: one.ns for name, one in found.features.items()} | {n: one.ns for n, one in found.views.items()}
     first = next(iter(stamps))  # readers give it the times of the rows
@@ -144,7 +144,7 @@ def _columns(found: Rows) -> dict[str, Array]:
     return columns | {f"{name}{STAMP}": ns for name, ns in apart.items()}
 
 
-def _cast(one: Feature) -> Array:
+def _cast_to_declared(one: Feature) -> Array:
     """The values in their declared dtype if it holds them, else in float32 or float64 without loss."""
     wanted = one.dtype or "float32"
     if wanted not in _WHOLE or np.isfinite(one.values).all():
@@ -156,10 +156,10 @@ def _cast(one: Feature) -> Array:
     return one.values
 
 
-def _declared(found: Rows, how: Codec) -> dict[str, dict[str, Any]]:
+def _declare_features(found: DatasetRows, how: Codec) -> dict[str, dict[str, Any]]:
     """The features of info.json."""
     declared: dict[str, dict[str, Any]] = {}
-    for name, values in _columns(found).items():
+    for name, values in _episode_columns(found).items():
         one = found.features.get(name)
         names = None if one is None else list(one.names)
         shape = [1 if values.ndim == 1 else values.shape[1]]
@@ -181,8 +181,8 @@ def _declared(found: Rows, how: Codec) -> dict[str, dict[str, Any]]:
     return declared
 
 
-def _video(
-    done: _Written, name: str, view: View, t: Array, keys: Mapping[str, Any], row: dict[str, Any],
+def _write_video(
+    done: _Written, name: str, view: DatasetCamera, t: Array, keys: Mapping[str, Any], row: dict[str, Any],
     stats: dict[str, dict[str, Any]], log: Path,
 ) -> list[Finding]:  # fmt: skip
     """Write a camera's video; reports its error and missing images."""
@@ -190,7 +190,7 @@ def _video(
     path.parent.mkdir(parents=True, exist_ok=True)
     sampled = Sampled()
     passes = count()
-    error = encode(path, done.codec, lambda: map(sampled.seen, _half(view, next(passes), done.progress)), t, view.size)
+    error = encode_video(path, done.codec, lambda: map(sampled.seen, _count_every_second_image(view, next(passes), done.progress)), t, view.size)
     stats[name] = sampled.stats(len(t))
     if done.form == V3:
         row |= {f"videos/{name}/{key}": keys[key] for key in ("chunk_index", "file_index")}
@@ -203,7 +203,7 @@ def _video(
     return findings
 
 
-def _half(view: View, number: int, progress: Progress | None) -> Iterator[Array]:
+def _count_every_second_image(view: DatasetCamera, number: int, progress: Progress | None) -> Iterator[Array]:
     """The images of a pass; of the two, written and read back, each reports every second image as done."""
     for k, image in enumerate(view.images()):
         if progress is not None and k % 2 == number % 2:
@@ -211,7 +211,7 @@ def _half(view: View, number: int, progress: Progress | None) -> Iterator[Array]
         yield image
 
 
-def _table(path: Path, columns: Mapping[str, Array]) -> None:
+def _write_parquet_table(path: Path, columns: Mapping[str, Array]) -> None:
     arrow, parquet = require_module("pyarrow", path), require_module("pyarrow.parquet", path)
     made = {}
     for name, values in columns.items():
@@ -221,7 +221,7 @@ def _table(path: Path, columns: Mapping[str, Array]) -> None:
     parquet.write_table(arrow.table(made), path, compression="snappy")
 
 
-def _meta(done: _Written) -> None:
+def _write_metadata_files(done: _Written) -> None:
     """Write info.json, stats, and the lists of episodes and tasks."""
     meta = done.folder / "meta"
     meta.mkdir()
@@ -236,14 +236,14 @@ def _meta(done: _Written) -> None:
     }  # fmt: skip
     if done.form == V3:
         info |= {"data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
-        _listed_v3(done, meta)
+        _write_episode_lists_v3(done, meta)
     else:
         info |= {"total_videos": videos * total, "total_chunks": -(-total // _CHUNK)}
-        _listed_v21(done, meta)
+        _write_episode_lists_v21(done, meta)
     (meta / "info.json").write_text(json.dumps(info, indent=4), encoding="utf-8")
 
 
-def _listed_v3(done: _Written, meta: Path) -> None:
+def _write_episode_lists_v3(done: _Written, meta: Path) -> None:
     arrow, parquet = require_module("pyarrow", meta), require_module("pyarrow.parquet", meta)
     place = {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
     flat = [
@@ -255,7 +255,7 @@ def _listed_v3(done: _Written, meta: Path) -> None:
     parquet.write_table(arrow.Table.from_pylist(flat), path)
     tasks = arrow.table({"task_index": list(done.tasks.values()), "task": list(done.tasks)})
     parquet.write_table(tasks.replace_schema_metadata({b"pandas": _PANDAS.encode()}), meta / "tasks.parquet")
-    (meta / "stats.json").write_text(json.dumps(together(done.stats), indent=4), encoding="utf-8")
+    (meta / "stats.json").write_text(json.dumps(combine_statistics(done.stats), indent=4), encoding="utf-8")
 
 
 _PANDAS = json.dumps(
@@ -271,7 +271,7 @@ _PANDAS = json.dumps(
 """Declares the column `task` as the table's index, as LeRobot's loader needs it."""
 
 
-def _listed_v21(done: _Written, meta: Path) -> None:
+def _write_episode_lists_v21(done: _Written, meta: Path) -> None:
     tasks = [{"task_index": index, "task": task} for task, index in done.tasks.items()]
     stats = [{"episode_index": number, "stats": one} for number, one in enumerate(done.stats)]
     for name, lines in (("episodes", done.episodes), ("tasks", tasks), ("episodes_stats", stats)):

@@ -8,13 +8,13 @@ from pathlib import Path
 from ..logs.formats import open_log, without_images
 from ..logs.images import video_file
 from ..logs.protocol import Log
-from ..logs.topics import independent
+from ..logs.topics import has_independent_poses
 from ..settings import Settings
 from ..sources import TableSource, TopicSource
-from ..types import ConsumedFrames, Features, Frame, FrameConsumer, Health, Recording, Series
+from ..types import ConsumedFrames, Features, LazyImage, FrameConsumer, Health, Recording, Series
 from . import cameras, joint_series, joint_topics, roles
 from . import frames as camera
-from .clocks import largest_gap, seconds
+from .clocks import largest_gap, seconds_since
 from .dated_streams import Stream, joints_of, read_streams
 from .saved_settings import is_ours, restore_settings
 from .stream_findings import log_findings
@@ -22,7 +22,7 @@ from .stream_findings import log_findings
 _VIEW = "camera/"
 
 
-def read(
+def read_recording(
     path: Path, settings: Settings, strict: bool = False, consumer: Callable[[], FrameConsumer] | None = None
 ) -> Recording:
     """Read the recording in a log of any format; a missing role is None. LogError, FormatError for unusable logs.
@@ -31,38 +31,38 @@ def read(
     """
     with open_log(path, strict, settings.input) as log:
         settings = restore_settings(log, settings)
-        found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
+        found = roles.assign_roles(log.topics, settings.topics, str(path), joints_of(log))
         to_be_seen = "camera" in found and not is_ours(log)
         with consumer() if consumer and to_be_seen else nullcontext() as frames:
             tap = camera.FrameTap(log, found["camera"].topics, frames, settings.input) if frames else None
             streams, silent = read_streams(tap or without_images(log), found, settings, str(path))
         start_ns = _start_ns(streams, log)
-        features = _features(log, start_ns)
-        named = _named(log, path, settings, streams, start_ns, features)
+        features = _read_own_features(log, start_ns)
+        named = _read_named_tracks(log, path, settings, streams, start_ns, features)
         findings = (*log.findings, *silent, *log_findings(log, streams, settings))
-    sidecars = _sidecars(path, settings)
-    videos = {key: source for key, source in cameras.cameras(settings.topics).items() if key in sidecars}
-    films = _films(path, strict, streams, sidecars, settings, start_ns)
+    sidecars = _find_video_files(path, settings)
+    videos = {key: source for key, source in cameras.cameras_by_name(settings.topics).items() if key in sidecars}
+    films = _frames_of_cameras(path, strict, streams, sidecars, settings, start_ns)
     return Recording(
         name=path.name,
         format=log.format,
         start_ns=start_ns,
-        duration_s=_duration(streams, log),
+        duration_s=_duration_of_streams(streams, log),
         topics=log.topics,
         roles={role: stream.role.path for role, stream in streams.items()} | videos,
-        joints=joint_series.series(streams, settings, start_ns, str(path)),
-        skin=_series(streams.get("skin"), start_ns, "0..1"),
-        truth=_series(streams.get("truth"), start_ns, "rad"),
-        reference=_series(streams.get("reference"), start_ns, "rad"),
+        joints=joint_series.merge_joint_series(streams, settings, start_ns, str(path)),
+        skin=_series_of_stream(streams.get("skin"), start_ns, "0..1"),
+        truth=_series_of_stream(streams.get("truth"), start_ns, "rad"),
+        reference=_series_of_stream(streams.get("reference"), start_ns, "rad"),
         frames=films.get("camera"),
         features=features,
-        health={stream.role.topic: _health(stream) for stream in streams.values()} | _seen(sidecars),
+        health={stream.role.topic: _health_of_stream(stream) for stream in streams.values()} | _health_of_videos(sidecars),
         findings=findings,
         views={key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)},
         settings=settings,
-        consumed=_consumed(tap, streams.get("camera"), start_ns),
-        poses=any(independent(stream.role.topics) for stream in joint_topics.streams_of(streams)),
-        beside=joint_topics.beside(streams, settings),
+        consumed=_frames_consumed(tap, streams.get("camera"), start_ns),
+        poses=any(has_independent_poses(stream.role.topics) for stream in joint_topics.streams_of(streams)),
+        beside=joint_topics.unconfigured_joints(streams, settings),
         tracks={name: track for name, (track, _) in named.items()},
         track_health={name: health for name, (_, health) in named.items()},
     )
@@ -74,61 +74,61 @@ def _start_ns(streams: Mapping[str, Stream], log: Log) -> int:
     return min((int(stream.timing.t_ns[0]) for stream in streams.values()), default=log.start_ns)
 
 
-def _duration(streams: Mapping[str, Stream], log: Log) -> float:
+def _duration_of_streams(streams: Mapping[str, Stream], log: Log) -> float:
     if not streams:
         return (log.end_ns - log.start_ns) / 1e9
     first = min(int(stream.timing.t_ns[0]) for stream in streams.values())
     return (max(int(stream.timing.t_ns[-1]) for stream in streams.values()) - first) / 1e9
 
 
-def _series(stream: Stream | None, start_ns: int, unit: str) -> Series | None:
+def _series_of_stream(stream: Stream | None, start_ns: int, unit: str) -> Series | None:
     if stream is None:
         return None
-    return Series(seconds(stream.timing.t_ns, start_ns), stream.values, stream.names, unit, stream.log_ns)
+    return Series(seconds_since(stream.timing.t_ns, start_ns), stream.values, stream.names, unit, stream.log_ns)
 
 
-def _health(stream: Stream) -> Health:
+def _health_of_stream(stream: Stream) -> Health:
     used = sum(stream.counts) - sum(stream.rejected.values())
     return Health(sum(stream.counts), used, stream.rejected, largest_gap(stream.timing.t_ns))
 
 
-def _sidecars(path: Path, settings: Settings) -> dict[str, video_file.Sidecar]:
-    declared = cameras.cameras(settings.topics).items()
+def _find_video_files(path: Path, settings: Settings) -> dict[str, video_file.Sidecar]:
+    declared = cameras.cameras_by_name(settings.topics).items()
     return {
-        key: video_file.find(name, path, settings.topics.rate, settings.input)
+        key: video_file.find_video_file(name, path, settings.topics.rate, settings.input)
         for key, name in declared
-        if cameras.is_video("camera", name)
+        if cameras.is_video_source("camera", name)
     }
 
 
-def _seen(sidecars: Mapping[str, video_file.Sidecar]) -> dict[str, Health]:
+def _health_of_videos(sidecars: Mapping[str, video_file.Sidecar]) -> dict[str, Health]:
     return {
         one.video.path.name: Health(len(one.t), len(one.t), {}, one.largest_gap)
         for one in sidecars.values()
     }
 
 
-def _films(
+def _frames_of_cameras(
     path: Path,
     strict: bool,
     streams: Mapping[str, Stream],
     sidecars: Mapping[str, video_file.Sidecar],
     settings: Settings,
     start_ns: int,
-) -> dict[str, Callable[[], Iterator[Frame]]]:
+) -> dict[str, Callable[[], Iterator[LazyImage]]]:
     """The images of every camera, by its role."""
     start = settings.topics.start
     first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9
     limits = replace(settings.input, strict=strict)
-    beside = {key: video_file.frames(side, first_s, start_ns) for key, side in sidecars.items()}
+    beside = {key: video_file.make_video_decoder(side, first_s, start_ns) for key, side in sidecars.items()}
     return beside | {
-        key: camera.frames(path, limits, s.role.topics, s.counts, s.rows, s.timing.t_ns, start_ns)
+        key: camera.read_frames_lazily(path, limits, s.role.topics, s.counts, s.rows, s.timing.t_ns, start_ns)
         for key, s in streams.items()
         if s.role.role == "camera"
     }
 
 
-def _features(log: Log, start_ns: int) -> Features | None:
+def _read_own_features(log: Log, start_ns: int) -> Features | None:
     if not is_ours(log):
         return None
     from ..annotating.read_back import read_features
@@ -136,13 +136,13 @@ def _features(log: Log, start_ns: int) -> Features | None:
     return read_features(log, start_ns)
 
 
-def _consumed(tap: camera.FrameTap | None, seen: Stream | None, start_ns: int) -> ConsumedFrames | None:
+def _frames_consumed(tap: camera.FrameTap | None, seen: Stream | None, start_ns: int) -> ConsumedFrames | None:
     if tap is None or seen is None:
         return None
     return tap.consumed(seen.rows, seen.timing.t_ns, seen.log_ns, start_ns)
 
 
-def _named(
+def _read_named_tracks(
     log: Log, path: Path, settings: Settings, streams: Mapping[str, Stream], start_ns: int, carried: Features | None
 ) -> dict[str, tuple[Series, Health]]:
     """Tracks of topics and tables that [features] names, except those stored in the log by an earlier run."""
@@ -155,5 +155,5 @@ def _named(
     asked = replace(settings, features=rest)
     timing = next((stream.timing for stream in joint_topics.streams_of(streams)), None)
     late_ns = (timing.offset_ns or 0) if timing is not None and timing.clock == "header" else 0
-    found = dict(topic_tracks.tracks(log, asked, start_ns, late_ns))
-    return found | dict(table_tracks.tracks(path, asked, start_ns, _duration(streams, log)))
+    found = dict(topic_tracks.read_topic_tracks(log, asked, start_ns, late_ns))
+    return found | dict(table_tracks.read_table_tracks(path, asked, start_ns, _duration_of_streams(streams, log)))

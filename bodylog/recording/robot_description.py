@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BodylogError
-from ..logs.decode.columns import decoder, is_ros1
-from ..logs.decode.parts import Columns
+from ..logs.decode.columns import choose_column_decoder, is_ros1
+from ..logs.decode.parts import TopicColumns
 from ..logs.formats import open_log
 from ..logs.limits import LIMITS, Input
 from ..logs.protocol import Log
@@ -50,25 +50,25 @@ class Described:
     joints: tuple[str, ...] = ()
 
 
-def described(path: Path, limits: Input = LIMITS) -> Described:
+def read_robot_description(path: Path, limits: Input = LIMITS) -> Described:
     """The robot description in a log of any format; empty for a table, or without one."""
     with open_log(path, limits=limits) as log:
-        topics = {topic.id: topic for topic in log.topics if _kind(topic) is not None}
-        found = _first(log, topics)
-    texts = [c.column("data") for id_, c in found.items() if _kind(topics[id_]) == "description"]
+        topics = {topic.id: topic for topic in log.topics if _kind_of_description(topic) is not None}
+        found = _read_first_messages(log, topics)
+    texts = [c.column("data") for id_, c in found.items() if _kind_of_description(topics[id_]) == "description"]
     transforms: dict[str, tuple[str, Array]] = {}
     for id_, columns in found.items():
-        if _kind(topics[id_]) == "transforms":
-            transforms |= _transforms(columns)
-    cameras = {topics[id_].name: _camera(c) for id_, c in found.items() if _kind(topics[id_]) == "camera"}
+        if _kind_of_description(topics[id_]) == "transforms":
+            transforms |= _transforms_by_child(columns)
+    cameras = {topics[id_].name: _camera_info_of_columns(c) for id_, c in found.items() if _kind_of_description(topics[id_]) == "camera"}
     urdf = next((str(text.reshape(-1)[-1]) for text in texts if len(text)), None)
     known = {name: camera for name, camera in cameras.items() if camera is not None}
-    names = [c.column("name") for id_, c in found.items() if _kind(topics[id_]) == "joints"]
+    names = [c.column("name") for id_, c in found.items() if _kind_of_description(topics[id_]) == "joints"]
     joints = dict.fromkeys(str(name) for part in names if len(part) for name in np.ravel(part[0]) if name is not None)
     return Described(urdf, transforms, known, tuple(joints))
 
 
-def _kind(topic: Topic) -> str | None:
+def _kind_of_description(topic: Topic) -> str | None:
     if topic.type == "std_msgs/msg/String" and topic.name.endswith("robot_description"):
         return "description"
     if topic.type in _TF and topic.name.endswith("tf_static"):
@@ -78,14 +78,14 @@ def _kind(topic: Topic) -> str | None:
     return "camera" if topic.type == "sensor_msgs/msg/CameraInfo" else None
 
 
-def _first(log: Log, topics: Mapping[int, Topic]) -> dict[int, Columns]:
+def _read_first_messages(log: Log, topics: Mapping[int, Topic]) -> dict[int, TopicColumns]:
     """The first messages of some topics; reading stops there."""
-    wanted = {id_: _MANY if _kind(topic) == "transforms" else 1 for id_, topic in topics.items()}
+    wanted = {id_: _MANY if _kind_of_description(topic) == "transforms" else 1 for id_, topic in topics.items()}
     left = {id_: min(count, max(topics[id_].messages, 1)) for id_, count in wanted.items()}
     decoders = {}
     for id_, topic in topics.items():
         with suppress(BodylogError):  # an unreadable definition describes nothing
-            decoders[id_] = decoder(topic, _fields(topic))
+            decoders[id_] = choose_column_decoder(topic, _fields_of_description(topic))
     left = {id_: count for id_, count in left.items() if id_ in decoders}
     for batch in log.batches(tuple(left)) if left else ():
         count = min(left.get(batch.topic_id, 0), len(batch.log_ns))
@@ -99,8 +99,8 @@ def _first(log: Log, topics: Mapping[int, Topic]) -> dict[int, Columns]:
     return {id_: one.columns() for id_, one in decoders.items()}
 
 
-def _fields(topic: Topic) -> Sequence[str]:
-    kind = _kind(topic)
+def _fields_of_description(topic: Topic) -> Sequence[str]:
+    kind = _kind_of_description(topic)
     if kind == "description":
         return ("data",)
     if kind == "joints":
@@ -112,7 +112,7 @@ def _fields(topic: Topic) -> Sequence[str]:
     return ("header.frame_id", "width", "height", "distortion_model", matrix, distortion)
 
 
-def _transforms(columns: Columns) -> dict[str, tuple[str, Array]]:
+def _transforms_by_child(columns: TopicColumns) -> dict[str, tuple[str, Array]]:
     found = {}
     for part in columns.parts:
         parents, children, *numbers = part.values
@@ -120,13 +120,13 @@ def _transforms(columns: Columns) -> dict[str, tuple[str, Array]]:
         for row in values:
             for parent, child, (x, y, z, *quaternion) in zip(parents, children, row, strict=True):
                 pose = np.eye(4)
-                pose[:3, :3], pose[:3, 3] = _rotation(np.array(quaternion)), (x, y, z)
+                pose[:3, :3], pose[:3, 3] = _rotation_from_quaternion(np.array(quaternion)), (x, y, z)
                 if np.isfinite(pose).all():
                     found[str(child).lstrip("/")] = str(parent).lstrip("/"), pose
     return found
 
 
-def _rotation(quaternion: Array) -> Array:
+def _rotation_from_quaternion(quaternion: Array) -> Array:
     """Rotation (3,3) of a quaternion x, y, z, w; NaN if its length is zero."""
     with np.errstate(invalid="ignore", divide="ignore"):
         x, y, z, w = quaternion / np.linalg.norm(quaternion)
@@ -139,7 +139,7 @@ def _rotation(quaternion: Array) -> Array:
     )
 
 
-def _camera(columns: Columns) -> CameraInfo | None:
+def _camera_info_of_columns(columns: TopicColumns) -> CameraInfo | None:
     """The first message, if the camera is calibrated."""
     if not columns.parts:
         return None

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import LogError
 from ..io.values import reject_impossible
-from ..logs.decode.parts import Columns
+from ..logs.decode.parts import TopicColumns
 from ..logs.limits import LIMITS, Input, TableSize
 from ..logs.records import Array
 
@@ -17,14 +17,14 @@ _NEAR = 1.0 / _TURN
 """Turns, one radian, by which a step may differ from a whole turn when a joint wraps."""
 
 
-class Named(NamedTuple):
+class JointNameSet(NamedTuple):
     """The messages, by their rows (k,), that name these joints, in any order."""
 
     names: tuple[str, ...]
     rows: Array
 
 
-class Signal(NamedTuple):
+class RoleSignal(NamedTuple):
     """Rows (m,) into the messages read · stamp_ns (m,) or None · values (m,D) · names (D,) · rejected by reason.
 
     sets: the messages by the joints they name, the most frequent first.
@@ -35,14 +35,14 @@ class Signal(NamedTuple):
     values: Array
     names: tuple[str, ...]
     rejected: Mapping[str, int]
-    sets: tuple[Named, ...] = ()
+    sets: tuple[JointNameSet, ...] = ()
 
 
 Block = tuple[Array, Array | None, tuple[Array | tuple[str, ...], ...]]
 """Rows, stamps and the remaining fields of messages of one shape."""
 
 
-def blocks(columns: Sequence[Columns], stamp: str | None, fields: Sequence[str]) -> Iterator[Block]:
+def read_blocks(columns: Sequence[TopicColumns], stamp: str | None, fields: Sequence[str]) -> Iterator[Block]:
     """The parts of several topics of one name, with rows counted through all of them."""
     first = 0
     for some in columns:
@@ -55,9 +55,9 @@ def blocks(columns: Sequence[Columns], stamp: str | None, fields: Sequence[str])
         first += len(some.log_ns)
 
 
-def joints(
+def joints_by_name(
     found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, every: bool = True, limits: Input = LIMITS
-) -> Signal:
+) -> RoleSignal:
     """Named joints (names, positions): values by name, NaN where a message lacks one or names it twice.
 
     LogError when `every` wanted joint must exist and one does not, or when the joints have no names.
@@ -73,34 +73,34 @@ def joints(
             continue
         positions = positions.reshape(len(rows), -1)  # a single joint is one number per message in JSON
         if not names and positions.shape[1]:
-            names = _nameless(positions.shape[1], wanted, what)
+            names = _names_for_nameless(positions.shape[1], wanted, what)
         if len(names) != positions.shape[1] or not names:
-            rejected[_unfit(len(names), positions.shape[1])] += len(rows)
+            rejected[_reason_joints_unfit(len(names), positions.shape[1])] += len(rows)
             continue
         names, positions = _without_duplicates(names, positions)
         if not names:
             rejected["every joint is named more than once"] += len(rows)
             continue
         good.append((rows, stamps, names, positions))
-    order = _order([names for _, _, names, _ in good], wanted, what, every)
+    order = _order_of_joints([names for _, _, names, _ in good], wanted, what, every)
     if len(order) > limits.max_joints:
         asked = f"to read them, type in robot.toml: [input] max_joints = {len(order)}"
         raise LogError(f"{what}: its messages name {len(order)} joints, at most {limits.max_joints} are read; {asked}")
     TableSize(limits).take(8 * len(order) * sum(len(rows) for rows, *_ in good), f"{what}: {len(order)} joints")
-    values = [_by_name(names, positions, order) for _, _, names, positions in good]
-    return _joined([(r, s) for r, s, _, _ in good], values, order, rejected)._replace(sets=_sets(good))
+    values = [_columns_in_order(names, positions, order) for _, _, names, positions in good]
+    return _join_blocks([(r, s) for r, s, _, _ in good], values, order, rejected)._replace(sets=_name_sets(good))
 
 
-def _sets(good: Sequence[tuple[Array, Array | None, tuple[str, ...], Array]]) -> tuple[Named, ...]:
+def _name_sets(good: Sequence[tuple[Array, Array | None, tuple[str, ...], Array]]) -> tuple[JointNameSet, ...]:
     """Messages by the joints they name, in any order, the most frequent first."""
     lists: dict[frozenset[str], tuple[tuple[str, ...], list[Array]]] = {}
     for some, _, names, _ in good:
         lists.setdefault(frozenset(names), (names, []))[1].append(some)
     most_first = sorted(lists.values(), key=lambda one: -sum(map(len, one[1])))
-    return tuple(Named(names, np.concatenate(rows)) for names, rows in most_first)
+    return tuple(JointNameSet(names, np.concatenate(rows)) for names, rows in most_first)
 
 
-def _unfit(names: int, positions: int) -> str:
+def _reason_joints_unfit(names: int, positions: int) -> str:
     if names and positions:
         return f"{positions} positions for {names} names"
     return "no positions" if names else "no joints"
@@ -115,7 +115,7 @@ def _without_duplicates(names: tuple[str, ...], positions: Array) -> tuple[tuple
     return tuple(names[place] for place in kept), positions[:, kept]
 
 
-def _nameless(count: int, wanted: tuple[str, ...] | None, what: str) -> tuple[str, ...]:
+def _names_for_nameless(count: int, wanted: tuple[str, ...] | None, what: str) -> tuple[str, ...]:
     if wanted is None:
         raise LogError(f"{what}: the {count} joints have no names; type in robot.toml: [body] joints = [{count} names]")
     if len(wanted) != count:
@@ -124,7 +124,7 @@ def _nameless(count: int, wanted: tuple[str, ...] | None, what: str) -> tuple[st
     return wanted
 
 
-def _order(seen: Sequence[tuple[str, ...]], wanted: tuple[str, ...] | None, what: str, every: bool) -> tuple[str, ...]:
+def _order_of_joints(seen: Sequence[tuple[str, ...]], wanted: tuple[str, ...] | None, what: str, every: bool) -> tuple[str, ...]:
     there = tuple(dict.fromkeys(name for names in seen for name in names))
     if wanted is None or not there:
         return wanted or there
@@ -134,7 +134,7 @@ def _order(seen: Sequence[tuple[str, ...]], wanted: tuple[str, ...] | None, what
     return tuple(name for name in wanted if name in there)
 
 
-def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -> Array:
+def _columns_in_order(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -> Array:
     if names == order:
         return positions
     values = np.full((len(positions), len(order)), np.nan)
@@ -145,7 +145,7 @@ def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -
     return values
 
 
-def angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int, Array]:
+def unwrap_angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int, Array]:
     """Angles (N,D) rad unwrapped, without readings beyond FARTHEST; the number of these; turns removed (D,).
 
     A step of a whole turn, within a radian, is a wrap. Independent poses (`turn` None) are not unwrapped. `turn`: one
@@ -164,7 +164,7 @@ def angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int, Array
     return values, beyond, turns
 
 
-def array(found: Sequence[Block]) -> Signal:
+def signal_of_arrays(found: Sequence[Block]) -> RoleSignal:
     """Arrays of numbers of the most common width; others are rejected, and all if none holds a number."""
     widths: Counter[int] = Counter()
     shaped, texts_ = [], 0
@@ -184,19 +184,19 @@ def array(found: Sequence[Block]) -> Signal:
     names = tuple(str(cell) for cell in range(width))
     if good and all(np.isnan(values).all() for _, _, values in good):
         rejected["no number in it"], good = sum(len(rows) for rows, _, _ in good), []
-    return _joined([(r, s) for r, s, _ in good], [v for _, _, v in good], names, rejected)
+    return _join_blocks([(r, s) for r, s, _ in good], [v for _, _, v in good], names, rejected)
 
 
-def proximities(signal: Signal) -> Signal:
+def reject_non_proximities(signal: RoleSignal) -> RoleSignal:
     """The signal if all its values lie within 0..1, otherwise with all rejected."""
     values = signal.values
     if np.all(np.isnan(values) | ((values >= 0) & (values <= 1))):
         return signal
     reason = {"values beyond 0..1 on a topic whose name does not contain skin": len(signal.rows)}
-    return Signal(signal.rows[:0], None, values[:0], signal.names, {**signal.rejected, **reason})
+    return RoleSignal(signal.rows[:0], None, values[:0], signal.names, {**signal.rejected, **reason})
 
 
-def texts(found: Sequence[Block], refused: Mapping[str, str | None]) -> Signal:
+def signal_of_texts(found: Sequence[Block], refused: Mapping[str, str | None]) -> RoleSignal:
     """Messages by one text (an image's encoding); those that `refused` gives a reason for are rejected."""
     rejected: Counter[str] = Counter()
     good = []
@@ -206,27 +206,27 @@ def texts(found: Sequence[Block], refused: Mapping[str, str | None]) -> Signal:
             good.append((rows, stamps))
         else:
             rejected[reason] += len(rows)
-    return _joined(good, [np.empty((len(rows), 0)) for rows, _ in good], (), rejected)
+    return _join_blocks(good, [np.empty((len(rows), 0)) for rows, _ in good], (), rejected)
 
 
-def _joined(
+def _join_blocks(
     places: Sequence[tuple[Array, Array | None]],
     values: Sequence[Array],
     names: tuple[str, ...],
     rejected: Counter[str],
-) -> Signal:
+) -> RoleSignal:
     if not places:
-        return Signal(np.empty(0, np.int64), None, np.empty((0, len(names))), names, dict(rejected))
+        return RoleSignal(np.empty(0, np.int64), None, np.empty((0, len(names))), names, dict(rejected))
     rows, joined = np.concatenate([r for r, _ in places]), np.concatenate(values)
     stamps = [s for _, s in places if s is not None]
     stamp_ns = np.concatenate(stamps) if len(stamps) == len(places) else None
     if (np.diff(rows) < 0).any():
         order = np.argsort(rows, kind="stable")
         rows, joined, stamp_ns = rows[order], joined[order], None if stamp_ns is None else stamp_ns[order]
-    return Signal(rows, stamp_ns, joined, names, dict(rejected))
+    return RoleSignal(rows, stamp_ns, joined, names, dict(rejected))
 
 
-def merged(t_ns: Array, values: Array) -> tuple[Array, Array, int]:
+def merge_equal_stamps(t_ns: Array, values: Array) -> tuple[Array, Array, int]:
     """Rows to keep (n,) with unique stamps · values (n,D) · how many messages added nothing.
 
     Later messages of the same stamp (the other half of the joints) fill NaN of the first.

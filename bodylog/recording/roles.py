@@ -7,14 +7,14 @@ from typing import NamedTuple
 from ..errors import BodylogError, ConfigError, LogError
 from ..logs.decode.columns import definition_of
 from ..logs.decode.definitions import PRIMITIVES, Definition
-from ..logs.decode.dynamic import reader
-from ..logs.decode.message_path import parse
+from ..logs.decode.dynamic import make_dynamic_reader
+from ..logs.decode.message_path import parse_message_path
 from ..logs.images import messages
 from ..logs.records import Topic
 from ..logs.topic_names import PREFIX, TRACK
-from ..settings import Topics
-from .cameras import cameras, is_video
-from .joint_names import named as joint_topics
+from ..settings import TopicSettings
+from .cameras import cameras_by_name, is_video_source
+from .joint_names import joint_topic_roles as joint_topics
 from .joint_names import topic_name
 
 ROLES = ("joints", "camera", "skin", "truth", "reference")
@@ -49,9 +49,9 @@ class Role(NamedTuple):
         return f"{self.topic}.{self.field}" if self.field else self.topic
 
 
-def roles(
+def assign_roles(
     topics: Sequence[Topic],
-    settings: Topics,
+    settings: TopicSettings,
     name: str,
     joints_of: Callable[[Topic], tuple[str, ...]] = lambda topic: (),
 ) -> dict[str, Role]:
@@ -66,29 +66,29 @@ def roles(
     found: dict[str, Role] = {}
     names = [topic.name for topic in topics]
     for role in ROLES:
-        declared = _declared(role, settings)
+        declared = _sources_declared(role, settings)
         known = {key: text for key, text in declared.items() if text}
         if role == "reference":
-            there = [s for s in declared.values() if s and parse(s, names).topic in names]
-            found.update((role, _named(role, s, topics, name)) for s in there)
+            there = [s for s in declared.values() if s and parse_message_path(s, names).topic in names]
+            found.update((role, _role_from_path(role, s, topics, name)) for s in there)
         elif not any(declared.values()):
-            guessed = _guess(role, _main_joints(topics, joints_of) if role == "joints" else topics)
+            guessed = _guess_role(role, _main_joints(topics, joints_of) if role == "joints" else topics)
             found.update({role: guessed} if guessed else {})
             if role == "joints" and guessed:
-                found.update(_beside(guessed, topics, joints_of))
+                found.update(_further_joint_topics(guessed, topics, joints_of))
         elif role != "camera" or not _tracks_alone(topics):
-            found.update({key: _named(role, s, topics, name) for key, s in known.items() if not is_video(role, s)})
+            found.update({key: _role_from_path(role, s, topics, name) for key, s in known.items() if not is_video_source(role, s)})
     return found
 
 
-def _declared(role: str, settings: Topics) -> Mapping[str, str | None]:
+def _sources_declared(role: str, settings: TopicSettings) -> Mapping[str, str | None]:
     """The sources in robot.toml for a role: cameras and joints may have several."""
     if role == "camera":
-        return cameras(settings)
+        return cameras_by_name(settings)
     return joint_topics(settings.joints) if role == "joints" else {role: getattr(settings, role)}
 
 
-def _beside(first: Role, topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]) -> dict[str, Role]:
+def _further_joint_topics(first: Role, topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]) -> dict[str, Role]:
     """Further joint topics, the most frequent first, without repeated joint names."""
     ranked = [(rank, t) for t in topics if is_raw(t) and (rank := joints_rank(t)) is not None and rank[0]]
     if len({topic.name for _, topic in ranked}) < 2:
@@ -96,11 +96,11 @@ def _beside(first: Role, topics: Sequence[Topic], joints_of: Callable[[Topic], t
     taken = {name for topic in first.topics for name in joints_of(topic)}
     found: dict[str, Role] = {}
     for _, topic in sorted(ranked, key=lambda pair: (*(-x for x in pair[0]), pair[1].name)):
-        if topic.name == first.topic or topic.messages < _FEWEST or problem(topic) is not None:
+        if topic.name == first.topic or topic.messages < _FEWEST or problem_with_definition(topic) is not None:
             continue
-        names = {name for one in _same(topics, topic) for name in joints_of(one)}
+        names = {name for one in _topics_of_same_type(topics, topic) for name in joints_of(one)}
         if names and "" not in names | taken and not names & taken:
-            found[f"joints/{topic_name(topic.name)}"] = Role("joints", topic.name, "", _same(topics, topic))
+            found[f"joints/{topic_name(topic.name)}"] = Role("joints", topic.name, "", _topics_of_same_type(topics, topic))
             taken |= names
     return found
 
@@ -136,11 +136,11 @@ def is_raw(topic: Topic) -> bool:
     return topic.messages > 0 and not topic.name.startswith(PREFIX)
 
 
-def problem(topic: Topic) -> str | None:
+def problem_with_definition(topic: Topic) -> str | None:
     """Why a topic's definition cannot be used, or None."""
     try:
         if topic.encoding == "protobuf":
-            reader(topic)
+            make_dynamic_reader(topic)
         elif topic.encoding != "json":
             definition_of(topic)
     except BodylogError as error:
@@ -148,51 +148,51 @@ def problem(topic: Topic) -> str | None:
     return None
 
 
-def _guess(role: str, topics: Sequence[Topic]) -> Role | None:
+def _guess_role(role: str, topics: Sequence[Topic]) -> Role | None:
     ranked = [(RANKS[role](topic), topic) for topic in topics if is_raw(topic)]
     usable = [(rank, topic) for rank, topic in ranked if rank is not None]
     for _, topic in sorted(usable, key=lambda pair: (*(-x for x in pair[0]), pair[1].name)):
-        field = _field(role, topic)
-        if field is not None and problem(topic) is None:
+        field = _default_field(role, topic)
+        if field is not None and problem_with_definition(topic) is None:
             unsure = role == "skin" and not (_TOUCHED.search(topic.name) or "Skin" in topic.type)
-            return Role(role, topic.name, field, _same(topics, topic), unsure)
+            return Role(role, topic.name, field, _topics_of_same_type(topics, topic), unsure)
     return None
 
 
-def _same(topics: Sequence[Topic], topic: Topic) -> tuple[Topic, ...]:
+def _topics_of_same_type(topics: Sequence[Topic], topic: Topic) -> tuple[Topic, ...]:
     return tuple(other for other in topics if other.name == topic.name and other.type == topic.type)
 
 
-def _named(role: str, declared: str, topics: Sequence[Topic], name: str) -> Role:
+def _role_from_path(role: str, declared: str, topics: Sequence[Topic], name: str) -> Role:
     try:
-        path = parse(declared, [topic.name for topic in topics])
+        path = parse_message_path(declared, [topic.name for topic in topics])
     except ConfigError as problem:
         raise ConfigError(f"{name}: [topics] {role}: {problem}") from problem
     same = [topic for topic in topics if topic.name == path.topic]
     likely = [topic.name for topic in topics if RANKS[role](topic) is not None]
-    others = [topic.name for topic in topics if topic.name != path.topic and not _mistaken(role, topic)]
+    others = [topic.name for topic in topics if topic.name != path.topic and not _is_mistaken_topic(role, topic)]
     none = "none, the log has no other" if topics else "none, the log is empty"
     possible = f"possible: {', '.join(sorted(likely or others)[:10]) or none}"
     if not same:
         raise LogError(f'{name}: [topics] {role} = "{declared}", but there is no topic {path.topic!r}; {possible}')
     best = max(same, key=lambda topic: topic.messages)
     named = declared[len(path.topic) :].removeprefix(".")
-    if not named and _mistaken(role, best):
+    if not named and _is_mistaken_topic(role, best):
         what = best.type + (f" ({messages.PACKETS})" if messages.is_packets(best) else "")
         raise LogError(f'{name}: [topics] {role} = "{declared}", but {path.topic} is {what}; {possible}')
-    field = named or _field(role, best)
+    field = named or _default_field(role, best)
     if field is None:
         raise LogError(
             f'{name}: {declared} ({best.type}) has no array; say which: [topics] {role} = "{declared}.field[:]"'
         )
-    return Role(role, path.topic, field, _same(topics, best))
+    return Role(role, path.topic, field, _topics_of_same_type(topics, best))
 
 
-def _mistaken(role: str, topic: Topic) -> bool:
+def _is_mistaken_topic(role: str, topic: Topic) -> bool:
     """Whether the topic's type belongs to another role, or a camera's topic has no images."""
     if role != "camera" or topic.type == _JOINTS:
         return topic.type in (*messages.COMPRESSED, *messages.RAW, *(() if role in _ANGLES else (_JOINTS,)))
-    if topic.type in messages.COMPRESSED + messages.RAW or topic.encoding in ("json", "protobuf") or problem(topic):
+    if topic.type in messages.COMPRESSED + messages.RAW or topic.encoding in ("json", "protobuf") or problem_with_definition(topic):
         return messages.is_packets(topic)
     definition = definition_of(topic)
     return not {field.name for field in definition.types[definition.root]}.issuperset(messages.FIELDS)
@@ -233,13 +233,13 @@ RANKS: Mapping[str, Callable[[Topic], tuple[int, ...] | None]] = {
 }
 
 
-def _field(role: str, topic: Topic) -> str | None:
+def _default_field(role: str, topic: Topic) -> str | None:
     """The field that a role reads by default: "" for whole messages, None if there is nothing to read."""
     if role == "camera" or topic.type == _JOINTS:
         return ""
     if topic.encoding in ("json", "protobuf"):
         return None
-    return array_field(definition_of(topic)) if problem(topic) is None else None
+    return array_field(definition_of(topic)) if problem_with_definition(topic) is None else None
 
 
 def array_field(definition: Definition) -> str | None:

@@ -9,18 +9,18 @@ from ..logs.protocol import Log
 from ..logs.records import Finding
 from ..settings import Settings
 from . import role_hints
-from .clocks import median, seconds
-from .dated_streams import Stream, reasons
+from .clocks import median_by_sorting, seconds_since
+from .dated_streams import Stream, rejection_reasons
 
 
 def log_findings(log: Log, streams: Mapping[str, Stream], settings: Settings) -> tuple[Finding, ...]:
     """The roles for robot.toml, unused and unreadable topics, and the findings on each stream."""
     found = {role: stream.role for role, stream in streams.items()}
-    advice = role_hints.advice(found)
+    advice = role_hints.advice_on_roles(found)
     unused = (role_hints.unused_joints, role_hints.unused_cameras)
     more = [finding for tell in unused for finding in tell(log.topics, settings.topics, found)]
     advised = [Finding("info", f"roles, ready for robot.toml: {advice}")] if streams else []
-    broken = [Finding("warning", f"{text}; not considered for any role") for text in role_hints.unreadable(log.topics)]
+    broken = [Finding("warning", f"{text}; not considered for any role") for text in role_hints.find_unreadable_topics(log.topics)]
     return (*advised, *more, *broken, *(finding for stream in streams.values() for finding in stream_findings(stream)))
 
 
@@ -35,18 +35,18 @@ def stream_findings(stream: Stream) -> Iterator[Finding]:
         yield Finding("warning", f"{name}: its clock is not the others'; shifted by {by} to meet them")
     yield from (Finding("warning", f"{name}: {text}") for text in _clock_steps(stream))
     if len(timing.backwards):
-        yield Finding("warning", f"{name}: {_backwards(stream)}")
+        yield Finding("warning", f"{name}: {_describe_backward_times(stream)}")
     if timing.out_of_order:
         yield Finding("info", f"{name}: {timing.out_of_order} messages out of order were sorted")
     if stream.fallback:
         yield Finding("info", f"{name}: {stream.fallback} messages were decoded one by one")
     if stream.beyond:
         yield Finding("warning", f"{name}: {stream.beyond} readings beyond {FARTHEST:g} are rejected")
-    yield from (Finding("warning", f"{name}: {text}") for text in (*_changing(stream), *_vanishing(stream)))
+    yield from (Finding("warning", f"{name}: {text}") for text in (*_changing_joint_lists(stream), *_vanishing_joints(stream)))
     for joint, count in stream.wraps.items():
         yield Finding("info", f"{name}: {joint} wraps around, {count} times; read as one motion, without whole turns")
     if stream.rejected:
-        yield Finding("warning", f"{name}: rejected {reasons(stream)} of {sum(stream.counts)} messages")
+        yield Finding("warning", f"{name}: rejected {rejection_reasons(stream)} of {sum(stream.counts)} messages")
 
 
 _GONE, _RARE = 1.0, 10.0
@@ -54,7 +54,7 @@ _GONE, _RARE = 1.0, 10.0
 _NAMED = 4
 
 
-def _changing(stream: Stream) -> Iterator[str]:
+def _changing_joint_lists(stream: Stream) -> Iterator[str]:
     """Findings on a topic whose messages do not all name the same joints, with likely causes."""
     if len(stream.sets) < 2:
         return
@@ -67,16 +67,16 @@ def _changing(stream: Stream) -> Iterator[str]:
     yield f"{len(stream.sets)} lists of joints on one topic, {why}: {some}{more}"
 
 
-def _vanishing(stream: Stream) -> Iterator[str]:
+def _vanishing_joints(stream: Stream) -> Iterator[str]:
     """Joints without readings at the beginning or the end of a topic that continues."""
     if stream.role.role not in ("joints", "truth", "reference") or len(stream.timing.t_ns) < 2:
         return
-    t = seconds(stream.timing.t_ns, int(stream.timing.t_ns[0]))
+    t = seconds_since(stream.timing.t_ns, int(stream.timing.t_ns[0]))
     for name, column in zip(stream.names, stream.values.T, strict=True):
         known = t[np.isfinite(column)]
         if len(known) < 2:
             continue
-        long = max(_GONE, _RARE * median(np.diff(known)))
+        long = max(_GONE, _RARE * median_by_sorting(np.diff(known)))
         if t[-1] - known[-1] > long:
             yield f"{name} vanishes: no reading after {known[-1]:.3f} s, while others go on until {t[-1]:.3f} s"
         if known[0] > long:
@@ -103,7 +103,7 @@ def _clock_steps(stream: Stream) -> Iterator[str]:
         )
 
 
-def _backwards(stream: Stream) -> str:
+def _describe_backward_times(stream: Stream) -> str:
     """Where a stream's times run backwards, and how they were handled."""
     timing = stream.timing
     first = min(int(stream.log_ns.min()), int(timing.backwards[0]))

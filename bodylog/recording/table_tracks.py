@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import ConfigError, LogError
 from ..logs.tables.pose_columns import time_column
-from ..logs.tables.table_file import Table, kind, read
+from ..logs.tables.table_file import FileTable, table_format, read_table_file
 from ..settings import Settings
 from ..sources import TableSource
 from ..types import Array, Health, Series
@@ -16,19 +16,19 @@ EPOCH = 1e8
 """s: later times count from 1970, earlier ones from the log's first joints."""
 
 
-def tracks(log: Path, settings: Settings, start_ns: int, end_s: float) -> Iterator[tuple[str, tuple[Series, Health]]]:
+def read_table_tracks(log: Path, settings: Settings, start_ns: int, end_s: float) -> Iterator[tuple[str, tuple[Series, Health]]]:
     """Every feature of [features] from a table, t in s since start_ns; the log ends at end_s."""
-    read_: dict[Path, Table] = {}
+    read_: dict[Path, FileTable] = {}
     for name, source in settings.features.items():
         if isinstance(source, TableSource):
-            path = _path(log, name, source)
+            path = _find_table_path(log, name, source)
             if path not in read_:
                 with path.open("rb") as stream:
-                    read_[path] = read(path, kind(path, stream.read(4)) or "csv")
-            yield name, _track(path, read_[path], name, source, start_ns, end_s)
+                    read_[path] = read_table_file(path, table_format(path, stream.read(4)) or "csv")
+            yield name, _track_from_table(path, read_[path], name, source, start_ns, end_s)
 
 
-def _path(log: Path, name: str, source: TableSource) -> Path:
+def _find_table_path(log: Path, name: str, source: TableSource) -> Path:
     """The path of the table, as given or beside the log."""
     for path in (Path(source.table), log.parent / source.table):
         if path.is_file():
@@ -37,11 +37,11 @@ def _path(log: Path, name: str, source: TableSource) -> Path:
     raise LogError(f"{log}: {text}")
 
 
-def _track(
-    path: Path, table: Table, name: str, source: TableSource, start_ns: int, end_s: float
+def _track_from_table(
+    path: Path, table: FileTable, name: str, source: TableSource, start_ns: int, end_s: float
 ) -> tuple[Series, Health]:
     """One feature's positions (N,2) px in time order."""
-    places, std = _columns(path, table, name, source)
+    places, std = _position_columns(path, table, name, source)
     column, t = time_column(table.numbers)
     if column is None:
         have = ", ".join(table.names[:12])
@@ -70,9 +70,9 @@ def _track(
     return found, Health(table.rows, int(seen.sum()), rejected, gap)
 
 
-def _columns(path: Path, table: Table, name: str, source: TableSource) -> tuple[Array, Array | None]:
+def _position_columns(path: Path, table: FileTable, name: str, source: TableSource) -> tuple[Array, Array | None]:
     """Positions (N,2) px and their standard deviations: two columns, and one or two more for the latter."""
-    wanted = source.columns or _own(table, name)
+    wanted = source.columns or _columns_by_feature_name(table, name)
     if len(wanted) not in (2, 3, 4):
         raise ConfigError(f"{path}: [features] {name}: columns must name u and v, and one or two more for their std")
     if missing := [column for column in wanted if column not in table.numbers]:
@@ -83,7 +83,7 @@ def _columns(path: Path, table: Table, name: str, source: TableSource) -> tuple[
     return np.column_stack(columns[:2]), None if std is None else np.where(std > 0, std, np.nan)
 
 
-def _own(table: Table, name: str) -> tuple[str, ...]:
+def _columns_by_feature_name(table: FileTable, name: str) -> tuple[str, ...]:
     """NAME_u, NAME_v and their std; u and v if the table has no such columns."""
     there = set(table.numbers)
     for before in (f"{name}_", f"{name}.", ""):

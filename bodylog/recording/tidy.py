@@ -6,23 +6,23 @@ from pathlib import Path
 
 import numpy as np
 
-from ..annotating.annotate import add
+from ..annotating.annotate import add_topics
 from ..annotating.image_messages import ImageMessage, Kind, image_messages
-from ..annotating.messages import from_joints, from_skin, from_track, stamps
+from ..annotating.messages import from_joints, from_skin, from_track, stamps_ns
 from ..errors import LogError
-from ..io.atomic_files import replacing
-from ..io.outputs import Output, guard
+from ..io.atomic_files import replace_atomically
+from ..io.outputs import Output, guard_outputs
 from ..logs.conversion.transcode import LIBRARY, PROFILE
-from ..logs.episode_files import digest
+from ..logs.episode_files import hash_log
 from ..logs.mcap.encode import MessageTable
 from ..logs.mcap.prefix import NAME
-from ..logs.mcap.verification import verify
-from ..logs.mcap.writer import CHUNK_BYTES, Contents, Writer
+from ..logs.mcap.verification import verify_message_count
+from ..logs.mcap.writer import CHUNK_BYTES, Contents, McapRecordWriter
 from ..logs.protocol import Progress
 from ..settings import Settings
 from ..types import Finding, Outgoing, Recording, Series
-from .dataset_metadata import kept_metadata, of_episode
-from .recording import read
+from .dataset_metadata import kept_metadata, settings_of_episode
+from .recording import read_recording
 
 JOINTS, TRUTH, SKIN = "/joint_states", "/truth/joint_states", "/skin"
 Window = tuple[float, float]
@@ -31,7 +31,7 @@ Window = tuple[float, float]
 ALWAYS: Window = (-np.inf, np.inf)
 
 
-def ingest(
+def write_tidy_log(
     path: Path, out: Path, settings: Settings, start: float | None = None, end: float | None = None,
     progress: Progress | None = None,
 ) -> tuple[Finding, ...]:  # fmt: skip
@@ -39,29 +39,29 @@ def ingest(
 
     LogError when the log has neither signals nor images there, UsageError when `out` is also the input.
     """
-    guard([path], [Output(out)])
-    settings, further = of_episode(path, settings)
-    recording = read(path, settings, settings.input.strict)
+    guard_outputs([path], [Output(out)])
+    settings, further = settings_of_episode(path, settings)
+    recording = read_recording(path, settings, settings.input.strict)
     earliest = -recording.start_ns / 1e9
     window = (earliest if start is None else max(start, earliest), np.inf if end is None else end)
-    messages = [*outgoing(recording, window), *_within_window(further, recording.start_ns, window)]
-    with replacing(out) as beside:
+    messages = [*tidy_messages(recording, window), *_within_window(further, recording.start_ns, window)]
+    with replace_atomically(out) as beside:
         with beside.open("wb") as stream:
-            writer = Writer(stream, Contents())
+            writer = McapRecordWriter(stream, Contents())
             writer.begin(PROFILE, LIBRARY)
-            add(writer, messages, kept_metadata(recording) | {one.topic: about for one, about in further})
+            add_topics(writer, messages, kept_metadata(recording) | {one.topic: about for one, about in further})
             unread: dict[str, list[str]] = {}
             found = image_messages(path, recording, unread)
             seen, early = _write_images(found, recording.start_ns, window, writer, kept_metadata(recording), progress)
             count = sum(len(o.log_ns) for o in messages) + seen
             if not count:
-                lacking = f"no joints, skin, truth or images {_within(start, end)}"
+                lacking = f"no joints, skin, truth or images {_describe_window(start, end)}"
                 raise LogError(f"{path}: {lacking}; type: bodylog info {path}")
-            writer.about(NAME, {"source": path.name, "source_sha256": digest(path)})
+            writer.about(NAME, {"source": path.name, "source_sha256": hash_log(path)})
             writer.finish()
-        verify(beside, count, out)
-    early += sum(int((series.t < earliest).sum()) for series in signals(recording).values())
-    return (*recording.findings, *_left_out(path, unread), *_unwritten(path, early if start is None else 0))
+        verify_message_count(beside, count, out)
+    early += sum(int((series.t < earliest).sum()) for series in signals_by_role(recording).values())
+    return (*recording.findings, *_findings_on_unread(path, unread), *_finding_on_early_messages(path, early if start is None else 0))
 
 
 def _within_window(
@@ -74,50 +74,50 @@ def _within_window(
         yield replace(one, log_ns=one.log_ns[rows], offset=one.offset[rows], length=one.length[rows])
 
 
-def _left_out(path: Path, unread: Mapping[str, Sequence[str]]) -> Iterator[Finding]:
+def _findings_on_unread(path: Path, unread: Mapping[str, Sequence[str]]) -> Iterator[Finding]:
     """Images that contradict their definition, by topic."""
     for topic, reasons in unread.items():
         what = f"{len(reasons)} images cannot be read and are left out"
         yield Finding("lost", f"{path}: {topic}: {what}, the first for this: {reasons[0].removeprefix(f'{topic}: ')}")
 
 
-def _unwritten(path: Path, early: int) -> tuple[Finding, ...]:
+def _finding_on_early_messages(path: Path, early: int) -> tuple[Finding, ...]:
     """A finding on messages before time 0, which an MCAP cannot store."""
     text = "are before 0 s of the joints' clock and left out; for the log's clock: [time] joints = \"log\""
     return (Finding("warning", f"{path}: {early} messages {text}"),) if early else ()
 
 
-def outgoing(recording: Recording, window: Window = ALWAYS) -> list[Outgoing]:
+def tidy_messages(recording: Recording, window: Window = ALWAYS) -> list[Outgoing]:
     """The recording's signals within `window` under tidy topic names, logged at their own times."""
     start_ns = recording.start_ns
-    named = {role: cut(series, start_ns, window) for role, series in signals(recording).items()}
+    named = {role: cut_to_window(series, start_ns, window) for role, series in signals_by_role(recording).items()}
     out = [from_joints(topic, named[role], start_ns) for role, topic in _JOINTS.items() if role in named]
     out += [from_skin(SKIN, named["skin"], start_ns)] if "skin" in named else []
     # tracks in a table of poses are measured, not bodylog's
     places = recording.features.tracks if recording.poses and recording.features is not None else {}
-    cuts = {name: cut(track, start_ns, window) for name, track in places.items()}
+    cuts = {name: cut_to_window(track, start_ns, window) for name, track in places.items()}
     return out + [from_track(name, track, start_ns, "") for name, track in cuts.items()]
 
 
 _JOINTS = {"joints": JOINTS, "truth": TRUTH}
 
 
-def signals(recording: Recording) -> dict[str, Series]:
+def signals_by_role(recording: Recording) -> dict[str, Series]:
     """The recording's signals by role."""
     found = {"joints": recording.joints, "truth": recording.truth, "skin": recording.skin}
     return {role: series for role, series in found.items() if series is not None}
 
 
-def cut(series: Series, start_ns: int, window: Window) -> Series:
+def cut_to_window(series: Series, start_ns: int, window: Window) -> Series:
     """The rows within `window`, logged at their own times."""
     rows = (series.t >= window[0]) & (series.t <= window[1])
     t = series.t[rows]
     std = None if series.std is None else series.std[rows]
-    return replace(series, t=t, values=series.values[rows], source_ns=stamps(t, start_ns), std=std)
+    return replace(series, t=t, values=series.values[rows], source_ns=stamps_ns(t, start_ns), std=std)
 
 
 def _write_images(
-    found: Iterable[ImageMessage], start_ns: int, window: Window, writer: Writer,
+    found: Iterable[ImageMessage], start_ns: int, window: Window, writer: McapRecordWriter,
     about: Mapping[str, Mapping[str, str]], progress: Progress | None,
 ) -> tuple[int, int]:  # fmt: skip
     """Write the images within `window`, about a chunk at a time; returns how many, and how many came before it.
@@ -140,15 +140,15 @@ def _write_images(
         pending.append(image)
         size += len(image.payload)
         if size >= CHUNK_BYTES:
-            writer.write(_messages(pending, channels, count, start_ns))
+            writer.write(_table_of_images(pending, channels, count, start_ns))
             count, size, pending = count + len(pending), 0, []
     if pending:
-        writer.write(_messages(pending, channels, count, start_ns))
+        writer.write(_table_of_images(pending, channels, count, start_ns))
     return count + len(pending), early
 
 
-def _messages(pending: list[ImageMessage], channels: dict[Kind, int], count: int, start_ns: int) -> MessageTable:
-    log_ns = stamps(np.array([image.t for image in pending]), start_ns)
+def _table_of_images(pending: list[ImageMessage], channels: dict[Kind, int], count: int, start_ns: int) -> MessageTable:
+    log_ns = stamps_ns(np.array([image.t for image in pending]), start_ns)
     length = np.array([len(image.payload) for image in pending])
     data = np.frombuffer(b"".join(image.payload for image in pending), np.uint8)
     channel = np.array([channels[image.kind] for image in pending])
@@ -156,7 +156,7 @@ def _messages(pending: list[ImageMessage], channels: dict[Kind, int], count: int
     return MessageTable(channel, sequence, log_ns, log_ns, (data,), np.cumsum(length) - length, length)
 
 
-def _within(start: float | None, end: float | None) -> str:
+def _describe_window(start: float | None, end: float | None) -> str:
     if start is None and end is None:
         return "in it"
     return f"from {'the start' if start is None else f'{start} s'} to {'the end' if end is None else f'{end} s'}"

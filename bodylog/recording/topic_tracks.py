@@ -6,14 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from ..errors import ConfigError, FormatError, LogError
-from ..logs.decode.columns import columns
-from ..logs.decode.parts import Columns
+from ..logs.decode.columns import read_topic_columns
+from ..logs.decode.parts import TopicColumns
 from ..logs.protocol import Log
 from ..settings import Settings
 from ..sources import TopicSource
 from ..types import Array, Health, Series, Topic
 from .clock_steps import Times, mend_clocks
-from .clocks import largest_gap, order_by_time, seconds
+from .clocks import largest_gap, order_by_time, seconds_since
 from .stamp_field import stamp_field
 
 ENDS: Sequence[tuple[str, ...]] = (
@@ -44,14 +44,14 @@ BY_TYPE: Mapping[str, str] = {
 Read = tuple[Series, Health]
 
 
-def track(log: Log, name: str, source: TopicSource, settings: Settings, start_ns: int, late_ns: int) -> Read:
+def read_topic_track(log: Log, name: str, source: TopicSource, settings: Settings, start_ns: int, late_ns: int) -> Read:
     """A feature's positions (N,2) px and the messages' health; t in s since start_ns, `late_ns` for log times.
 
     LogError if the topic is missing or has no position at all, ConfigError for a path without positions.
     """
-    topic = _topic(log, name, source)
-    ends, found = _read(log, topic, name, source)
-    rows, stamps, places, rejected = _places(found, ends, stamp_field(topic))
+    topic = _require_topic(log, name, source)
+    ends, found = _read_positions(log, topic, name, source)
+    rows, stamps, places, rejected = _positions_of_messages(found, ends, stamp_field(topic))
     empty = int((~np.isfinite(places[:, :2]).all(axis=1)).sum())
     if empty == len(rows):
         rejected = {**rejected, **({"not in the message": empty} if empty else {})}
@@ -64,7 +64,7 @@ def track(log: Log, name: str, source: TopicSource, settings: Settings, start_ns
     values = places[timing.rows]
     std = values[:, 2:] if values.shape[1] == 4 else None
     known = std is not None and bool(np.isfinite(std).any())
-    t = seconds(timing.t_ns + shift, start_ns)
+    t = seconds_since(timing.t_ns + shift, start_ns)
     series = Series(t, values[:, :2], ("u", "v"), "px", found.log_ns[rows][timing.rows], std if known else None)
     seen = np.isfinite(series.values).all(axis=1)
     hidden = {"not in the message": int((~seen).sum())} if not seen.all() else {}
@@ -72,7 +72,7 @@ def track(log: Log, name: str, source: TopicSource, settings: Settings, start_ns
     return series, Health(len(found.log_ns), int(seen.sum()), dict(counts), largest_gap(timing.t_ns))
 
 
-def _topic(log: Log, name: str, source: TopicSource) -> Topic:
+def _require_topic(log: Log, name: str, source: TopicSource) -> Topic:
     there = [topic for topic in log.topics if topic.name == source.topic]
     if not there:
         names = ", ".join(sorted({topic.name for topic in log.topics})[:10]) or "none"
@@ -80,7 +80,7 @@ def _topic(log: Log, name: str, source: TopicSource) -> Topic:
     return max(there, key=lambda topic: topic.messages)
 
 
-def _read(log: Log, topic: Topic, name: str, source: TopicSource) -> tuple[tuple[str, ...], Columns]:
+def _read_positions(log: Log, topic: Topic, name: str, source: TopicSource) -> tuple[tuple[str, ...], TopicColumns]:
     """The path ends that give positions, and their columns; ConfigError, with advice, if none does."""
     path = source.path or ""
     if not path and (several := BY_TYPE.get(topic.type)):
@@ -90,11 +90,11 @@ def _read(log: Log, topic: Topic, name: str, source: TopicSource) -> tuple[tuple
     for ends in ENDS:
         fields = ((stamp,) if stamp else ()) + tuple((path + end).lstrip(".") for end in ends)
         try:
-            found = columns(log, topic, fields)
+            found = read_topic_columns(log, topic, fields)
         except (ConfigError, FormatError) as problem:
             problems.append(str(problem))
             continue
-        if any(_is_numbers(part.values) for part in found.parts):
+        if any(_are_numbers(part.values) for part in found.parts):
             return ends, found
     reason = f"[features] {name}: no place at {topic.name}{path} ({topic.type})"
     why = next((text for text in problems if path and path.strip(".").split("[")[0].split(".")[0] in text), "")
@@ -102,22 +102,22 @@ def _read(log: Log, topic: Topic, name: str, source: TopicSource) -> tuple[tuple
     raise ConfigError(f"{log.path}: {reason}: {why or wanted}")
 
 
-def _is_numbers(values: tuple[Array | tuple[str, ...], ...]) -> bool:
+def _are_numbers(values: tuple[Array | tuple[str, ...], ...]) -> bool:
     return all(isinstance(value, np.ndarray) for value in values)
 
 
-def _places(
-    found: Columns, ends: tuple[str, ...], stamp: str | None
+def _positions_of_messages(
+    found: TopicColumns, ends: tuple[str, ...], stamp: str | None
 ) -> tuple[Array, Array | None, Array, dict[str, int]]:
     """Rows (n,), stamps (n,) or None, positions (n,2 or 4), NaN where a message has none; and rejection counts."""
     rows, stamps, places, rejected = [], [], list[Array](), Counter(found.rejected)
     first = int(stamp is not None)
     for part in found.parts:
         columns_ = part.values[first:]
-        if not _is_numbers(columns_):
+        if not _are_numbers(columns_):
             rejected["no numbers"] += len(part.rows)
             continue
-        place = _one(np.stack([np.asarray(c, float).reshape(len(part.rows), -1) for c in columns_], axis=2), ends)
+        place = _single_position(np.stack([np.asarray(c, float).reshape(len(part.rows), -1) for c in columns_], axis=2), ends)
         if place is None:
             rejected["several places"] += len(part.rows)
             continue
@@ -132,7 +132,7 @@ def _places(
     return np.concatenate(rows)[order], whole, np.concatenate(places)[order], dict(rejected)
 
 
-def _one(matches: Array, ends: tuple[str, ...]) -> Array | None:
+def _single_position(matches: Array, ends: tuple[str, ...]) -> Array | None:
     """The position (n,2 or 4) in messages with that many matches (n,K,E): NaN for none, None for several."""
     if matches.shape[1] > 1:
         return None
@@ -145,11 +145,11 @@ def _one(matches: Array, ends: tuple[str, ...]) -> Array | None:
     return np.where(sound[:, None], place, np.nan)
 
 
-def tracks(log: Log, settings: Settings, start_ns: int, late_ns: int) -> Iterator[tuple[str, Read]]:
+def read_topic_tracks(log: Log, settings: Settings, start_ns: int, late_ns: int) -> Iterator[tuple[str, Read]]:
     """Every feature of [features] from a topic."""
     for name, source in settings.features.items():
         if isinstance(source, TopicSource):
             try:
-                yield name, track(log, name, source, settings, start_ns, late_ns)
+                yield name, read_topic_track(log, name, source, settings, start_ns, late_ns)
             except FormatError as problem:
                 raise FormatError(f"{log.path}: [features] {name}: {problem}") from None

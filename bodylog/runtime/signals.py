@@ -40,12 +40,12 @@ def raise_on_signal(*numbers: int, grace: float = GRACE, quiet: bool = False) ->
         read, write = os.pipe()
         os.set_blocking(write, False)
         signal.set_wakeup_fd(write, warn_on_full_buffer=False)
-        _thread.start_new_thread(_watch, (read, grace, quiet))
-        sys.unraisablehook = _unraisable
-        atexit.register(_leave, quiet)
+        _thread.start_new_thread(_watch_signals, (read, grace, quiet))
+        sys.unraisablehook = _ignore_unraisable
+        atexit.register(_clean_up_at_exit, quiet)
     for number in numbers:
         _heeded.add(number)
-        signal.signal(number, _stop)
+        signal.signal(number, _request_stop)
 
 
 def received_signal() -> int:
@@ -53,7 +53,7 @@ def received_signal() -> int:
     return _received[0] if _received else 0
 
 
-def clean(quiet: bool = False) -> None:
+def clean_up(quiet: bool = False) -> None:
     """Remove half-written files, and report it once."""
     for remove in at_end:
         remove()
@@ -64,47 +64,47 @@ def clean(quiet: bool = False) -> None:
     _cleaned.append(True)
 
 
-def _leave(quiet: bool) -> None:
+def _clean_up_at_exit(quiet: bool) -> None:
     """Clean up if the interpreter ends without unwinding.
 
     C code that prints an exception (PyErr_Print, called by NumPy's import_array while an extension is imported) ends
     the process if that exception is a SystemExit, as Stopped is: no `finally` runs.
     """
     if received_signal() and not _cleaned:
-        clean(quiet)
+        clean_up(quiet)
 
 
-def _stop(number: int, _: object) -> NoReturn:
+def _request_stop(number: int, _: object) -> NoReturn:
     for each in _heeded:
         signal.signal(each, signal.SIG_IGN)
     _received.append(number)
     raise Stopped(128 + number)
 
 
-def _watch(read: int, grace: float, quiet: bool) -> NoReturn:
+def _watch_signals(read: int, grace: float, quiet: bool) -> NoReturn:
     """Wait for a signal's number in the pipe, whatever the main thread does."""
     number = 0
     while number not in _heeded:
         number = os.read(read, 1)[0]
     time.sleep(grace)
-    end(number, quiet)
+    end_process(number, quiet)
 
 
-def end(number: int, quiet: bool) -> NoReturn:
+def end_process(number: int, quiet: bool) -> NoReturn:
     """Remove half-written files and end the process at once with 128 + `number`."""
     _received.append(number)
-    _thread.start_new_thread(_exit, (128 + number, LAST))
-    clean(quiet)
-    _exit(128 + number, 0.0)
+    _thread.start_new_thread(_exit_after, (128 + number, LAST))
+    clean_up(quiet)
+    _exit_after(128 + number, 0.0)
 
 
-def _exit(code: int, seconds: float) -> NoReturn:
+def _exit_after(code: int, seconds: float) -> NoReturn:
     """End after some seconds: a disk may be slow, and a terminal stopped."""
     time.sleep(seconds)
     os._exit(code)
 
 
-def _unraisable(problem: "sys.UnraisableHookArgs") -> None:
+def _ignore_unraisable(problem: "sys.UnraisableHookArgs") -> None:
     """Ignore an interrupted destructor, which cannot raise."""
     if not isinstance(problem.exc_value, Stopped):
         sys.__unraisablehook__(problem)

@@ -16,7 +16,7 @@ PATIENCE = GRACE_OF_WORKERS + 0.3
 """Seconds after which a worker that ignores its signal is killed."""
 
 
-def ready() -> None:
+def become_worker() -> None:
     """Make this process a worker."""
     malloc.tune_malloc()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -33,7 +33,7 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def block_interrupts() -> Iterator[None]:
     """Block interrupts while processes are started, which inherit the block: they would print a traceback."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
@@ -45,7 +45,7 @@ def uninterrupted() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def stop(processes: list[BaseProcess]) -> None:
+def stop_processes(processes: list[BaseProcess]) -> None:
     """Terminate processes, and kill those that do not end."""
     for process in processes:
         process.terminate()
@@ -58,11 +58,11 @@ def stop(processes: list[BaseProcess]) -> None:
 
 
 @contextmanager
-def ended() -> Iterator[None]:
+def end_children_on_failure() -> Iterator[None]:
     """Terminate the processes started in a `with` block if it fails, instead of waiting for them."""
     before = multiprocessing.active_children()
     try:
         yield
     except BaseException:
-        stop([child for child in multiprocessing.active_children() if child not in before])
+        stop_processes([child for child in multiprocessing.active_children() if child not in before])
         raise

@@ -20,7 +20,7 @@ _CARD = (96, 98, 102)
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class PinholeCamera:
     """A pinhole: size (px), focal length (px), position (3,) m, rotation (3,3) base -> optical (right, down, ahead)."""
 
     width: int
@@ -35,20 +35,20 @@ class Camera:
         return (self.width - 1) / 2, (self.height - 1) / 2
 
 
-def look_at(position: Array, target: Array, size: tuple[int, int]) -> Camera:
+def look_at(position: Array, target: Array, size: tuple[int, int]) -> PinholeCamera:
     """A camera at `position` that sees `target` in its centre, upright, 58 degrees wide."""
     ahead = (target - position) / np.linalg.norm(target - position)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    return Camera(*size, 0.9 * size[0], position, np.array([right, np.cross(ahead, right), ahead]))
+    return PinholeCamera(*size, 0.9 * size[0], position, np.array([right, np.cross(ahead, right), ahead]))
 
 
-def wide(size: tuple[int, int]) -> Camera:
+def wide_camera(size: tuple[int, int]) -> PinholeCamera:
     """A camera at the origin that looks along z, 90 degrees wide, as cameras on wrists are."""
-    return Camera(*size, 0.5 * size[0], np.zeros(3), np.eye(3))
+    return PinholeCamera(*size, 0.5 * size[0], np.zeros(3), np.eye(3))
 
 
-def ellipse_centre(camera: Camera, centre: Array, radius: float) -> Array:
+def ellipse_centre(camera: PinholeCamera, centre: Array, radius: float) -> Array:
     """Pixels (N,2) where the outlines of spheres at `centre` (N,3) m have their centroid.
 
     A sphere at (X, Y, Z) projects to an ellipse centred on (X, Y)·Z/(Z² − r²), a little outside the projection of
@@ -59,7 +59,7 @@ def ellipse_centre(camera: Camera, centre: Array, radius: float) -> Array:
     return np.column_stack([x * scale, y * scale]) + camera.centre
 
 
-def background(camera: Camera, rng: np.random.Generator, textured: bool = False) -> Array:
+def draw_background(camera: PinholeCamera, rng: np.random.Generator, textured: bool = False) -> Array:
     """A dark, unsaturated wall (H,W,3) uint8 with soft blotches, or with fine grey ones that show if it moves."""
     import cv2
 
@@ -72,7 +72,7 @@ def background(camera: Camera, rng: np.random.Generator, textured: bool = False)
     return np.asarray(np.clip(wall, 0, 255).astype(np.uint8))
 
 
-def sphere(picture: Array, depth: Array, camera: Camera, centre: Array, radius: float, colour: Array) -> float:
+def draw_sphere(picture: Array, depth: Array, camera: PinholeCamera, centre: Array, radius: float, colour: Array) -> float:
     """Draw a lit sphere into an image (H,W,3) uint8 and depth (H,W) m; return the visible share of its outline, 0..1.
 
     The arm less than one radius before its surface carries it and does not hide it. Nothing drawn later
@@ -81,11 +81,11 @@ def sphere(picture: Array, depth: Array, camera: Camera, centre: Array, radius: 
     place = camera.rotation @ (centre - camera.position)
     if place[2] < NEAR + radius:
         return 0.0
-    window, full_area = _window(camera, place, radius)
+    window, full_area = _window_of_sphere(camera, place, radius)
     rows, columns = window
     if rows.start >= rows.stop or columns.start >= columns.stop:
         return 0.0
-    cover, surface, light = _shade(camera, place, radius, rows, columns)
+    cover, surface, light = _shade_sphere(camera, place, radius, rows, columns)
     cover = np.where(surface < depth[window] + radius, cover, 0.0)
     old = picture[window].astype(float)
     new = old + cover[..., None] * (light[..., None] * colour - old)
@@ -94,7 +94,7 @@ def sphere(picture: Array, depth: Array, camera: Camera, centre: Array, radius: 
     return float(cover.sum() / full_area)
 
 
-def _window(camera: Camera, place: Array, radius: float) -> tuple[tuple[slice, slice], float]:
+def _window_of_sphere(camera: PinholeCamera, place: Array, radius: float) -> tuple[tuple[slice, slice], float]:
     """The rows and columns that the outline touches, and its whole area in px²."""
     x, y, z = place
     flat = z**2 - radius**2
@@ -108,7 +108,7 @@ def _window(camera: Camera, place: Array, radius: float) -> tuple[tuple[slice, s
     return (slice(low[1], high[1]), slice(low[0], high[0])), float(area)
 
 
-def _shade(camera: Camera, place: Array, radius: float, rows: slice, columns: slice) -> tuple[Array, Array, Array]:
+def _shade_sphere(camera: PinholeCamera, place: Array, radius: float, rows: slice, columns: slice) -> tuple[Array, Array, Array]:
     """Per pixel: covered share, depth of the surface (m), brightness."""
     u, v = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
     ray = np.stack([(u - camera.centre[0]) / camera.focal, (v - camera.centre[1]) / camera.focal, np.ones(u.shape)], -1)
@@ -123,20 +123,20 @@ def _shade(camera: Camera, place: Array, radius: float, rows: slice, columns: sl
     return cover, distance, 0.8 + 0.2 * facing
 
 
-def card(picture: Array, depth: Array, box: tuple[int, int, int, int], distance: float) -> None:
+def draw_card(picture: Array, depth: Array, box: tuple[int, int, int, int], distance: float) -> None:
     """Draw a grey card over columns and rows (left, top, right, bottom) that hides all beyond `distance` m."""
     left, top, right, bottom = box
     picture[top:bottom, left:right] = _CARD
     depth[top:bottom, left:right] = distance
 
 
-def sensor_noise(camera: Camera, rng: np.random.Generator) -> Array:
+def sensor_noise(camera: PinholeCamera, rng: np.random.Generator) -> Array:
     """Camera noise to crop from: larger than an image, so that every crop differs; int8, 2 grey levels."""
     noise = rng.standard_normal((camera.height + 64, camera.width + 64, 3), dtype=np.float32)
     return np.asarray(np.rint(noise * _NOISE_GREY).astype(np.int8))
 
 
-def expose(picture: Array, noise: Array, rng: np.random.Generator) -> Array:
+def expose_image(picture: Array, noise: Array, rng: np.random.Generator) -> Array:
     """The image (H,W,3) uint8 with a random crop of `noise` added."""
     import cv2
 

@@ -9,10 +9,10 @@ from ..types import Array
 from . import camera as cameras
 from . import messages
 from .head import SWING
-from .scene import Ball, Thing
+from .scene import Ball, SceneThing
 from .stage import FRAME, SIDE_FRAME, START_NS, Item, Stage, log_times, seen_hand, stamps_of
 from .tag import Plate
-from .world import EFFECTOR_RADIUS, HAND_RADIUS, MARKER_RADIUS, matrix, quaternion
+from .world import EFFECTOR_RADIUS, HAND_RADIUS, MARKER_RADIUS, matrix_from_quaternion, quaternion_from_matrix
 from .wrist import LINK
 
 _CAMERA_HZ = 20.0
@@ -27,7 +27,7 @@ _ROUNDS = 2
 class _View:
     """One camera: its topics begin with `under`, those of its truth with `truth`; its clock and random numbers."""
 
-    camera: cameras.Camera
+    camera: cameras.PinholeCamera
     under: str
     truth: str
     frame: str
@@ -60,12 +60,12 @@ def camera_items(stage: Stage) -> Iterator[Item]:
     """The first camera's streams: images, CameraInfo, /tf; truth: effector pose, pixels of visible things."""
     if stage.mount is not None:
         yield _camera_place()
-    yield from _film(stage, _View(stage.camera, "/camera", "/truth", FRAME, 7_000_000, 3), _card(stage))
+    yield from _film_camera(stage, _View(stage.camera, "/camera", "/truth", FRAME, 7_000_000, 3), _card_over_effector(stage))
 
 
 def _camera_place() -> Item:
     """/tf_static: the pose of a camera on its link of the arm."""
-    place = messages.transforms(START_NS, [(FRAME, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))], parent=LINK)
+    place = messages.transforms_message(START_NS, [(FRAME, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))], parent=LINK)
     return Item(START_NS, START_NS, "/tf_static", place)
 
 
@@ -73,12 +73,12 @@ def side_items(stage: Stage) -> Iterator[Item]:
     """The same streams of the camera at the side, if there is one, at other instants; the card does not hide it."""
     if stage.side is None:
         return iter(())
-    return _film(stage, _View(stage.side, "/side", "/truth/side", SIDE_FRAME, 29_000_000, 4), None)
+    return _film_camera(stage, _View(stage.side, "/side", "/truth/side", SIDE_FRAME, 29_000_000, 4), None)
 
 
-def _film(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
+def _film_camera(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
     rng = stage.chance(view.stream)
-    wall = cameras.background(view.camera, rng, stage.wish.options.scene == "bare")
+    wall = cameras.draw_background(view.camera, rng, stage.wish.options.scene == "bare")
     noise = cameras.sensor_noise(view.camera, rng)
     shot: _Shot | None = None
     for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, view.offset_ns):
@@ -88,11 +88,11 @@ def _film(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
             if stage.moves and view.frame == FRAME:
                 view, shot = replace(view, camera=stage.seen_from(t[row])), None
             if shot is None or not np.array_equal(shot.q, q[row]):
-                shot = _shoot(stage, view.camera, q[row], wall)
-            picture, seen = _compose(stage, view, shot, hands[row], card, t[row])
-            picture = cameras.expose(picture, noise, rng)
+                shot = _shoot_arm(stage, view.camera, q[row], wall)
+            picture, seen = _compose_image(stage, view, shot, hands[row], card, t[row])
+            picture = cameras.expose_image(picture, noise, rng)
             stated = _at_stamp(stage, view, shot, float(stamps[row]) / 1e9)
-            yield from _items(stage, *stated, int(stamps[row]) + START_NS, int(log), picture, seen)
+            yield from _items_of_image(stage, *stated, int(stamps[row]) + START_NS, int(log), picture, seen)
 
 
 def _exposure_delays(stage: Stage, view: _View, t: Array) -> Array:
@@ -115,7 +115,7 @@ def _feature_height(stage: Stage, view: _View, t: float) -> float:
     """Where the feature's row is at t s, from 0 for the picture's first row to 1 for its last."""
     camera = stage.seen_from(t) if view.frame == FRAME else view.camera
     poses = stage.world.pose(stage.wish.plan.motion.position(np.array([t]))[0])
-    feature = _feature(stage, *poses)
+    feature = _feature_in_base(stage, *poses)
     if feature is None:
         return 0.5
     return float(np.clip(feature.pixel(camera)[1] / (camera.height - 1), 0.0, 1.0))
@@ -131,33 +131,33 @@ def _at_stamp(stage: Stage, view: _View, shot: _Shot, t: float) -> tuple[_View, 
     return replace(view, camera=camera), replace(shot, q=q, places=places, turns=turns)
 
 
-def _shoot(stage: Stage, camera: cameras.Camera, q: Array, wall: Array) -> _Shot:
+def _shoot_arm(stage: Stage, camera: cameras.PinholeCamera, q: Array, wall: Array) -> _Shot:
     places, turns = stage.world.pose(q)
     return _Shot(q, places, turns, *stage.world.picture(camera, wall))
 
 
-def _compose(
+def _compose_image(
     stage: Stage, view: _View, shot: _Shot, place: Array, card: _Card | None, t: float
 ) -> tuple[Array, dict[str, Array]]:
     """The image at t, and the pixel of each wholly visible thing."""
     picture, depth = shot.picture.copy(), shot.depth.copy()
     if card is not None:
-        _cover(picture, depth, card, t)
+        _cover_with_card(picture, depth, card, t)
     seen = {}
-    for topic, thing in _things(stage, view, shot, place):
+    for topic, thing in _things_to_draw(stage, view, shot, place):
         if thing.draw(picture, depth, view.camera) > _WHOLE and topic:
             seen[topic] = thing.pixel(view.camera)
     return picture, seen
 
 
-def _things(stage: Stage, view: _View, shot: _Shot, place: Array) -> list[tuple[str, Thing]]:
+def _things_to_draw(stage: Stage, view: _View, shot: _Shot, place: Array) -> list[tuple[str, SceneThing]]:
     """The things to draw with their truth's topics ("" for clutter), nearest first."""
     links = stage.world.links
-    things: list[tuple[str, Thing]] = [("", thing) for thing in stage.scene.things]
+    things: list[tuple[str, SceneThing]] = [("", thing) for thing in stage.scene.things]
     for link, stud in stage.scene.studs:
         number = links.index(link)
-        things.append(("", stud.moved(shot.places[number], matrix(shot.turns[number]))))
-    feature = _feature(stage, shot.places, shot.turns)
+        things.append(("", stud.moved(shot.places[number], matrix_from_quaternion(shot.turns[number]))))
+    feature = _feature_in_base(stage, shot.places, shot.turns)
     if feature is not None:
         things.append((f"{view.truth}/effector_pixel", feature))
     if stage.wish.options.marker:
@@ -168,53 +168,53 @@ def _things(stage: Stage, view: _View, shot: _Shot, place: Array) -> list[tuple[
     return sorted(things, key=lambda thing: float(np.linalg.norm(thing[1].place - view.camera.position)))
 
 
-def _feature(stage: Stage, places: Array, turns: Array) -> Ball | Plate | None:
+def _feature_in_base(stage: Stage, places: Array, turns: Array) -> Ball | Plate | None:
     """The feature in the base frame, for positions and orientations of the links."""
     feature, link = stage.scene.feature, stage.scene.link
     if feature is None or link is None:
         return feature
     number = stage.world.links.index(link)
-    return feature.moved(places[number], matrix(turns[number]))
+    return feature.moved(places[number], matrix_from_quaternion(turns[number]))
 
 
-def _items(
+def _items_of_image(
     stage: Stage, view: _View, shot: _Shot, stamp: int, log: int, picture: Array, seen: dict[str, Array]
 ) -> Iterator[Item]:
     camera = view.camera
-    yield Item(log, stamp, stage.topic(view.under), _image(stage.wish.options.image, view.frame, stamp, picture))
-    info = messages.camera_info(stamp, view.frame, camera.width, camera.height, camera.focal, camera.centre)
+    yield Item(log, stamp, stage.topic(view.under), _image_message(stage.wish.options.image, view.frame, stamp, picture))
+    info = messages.camera_info_message(stamp, view.frame, camera.width, camera.height, camera.focal, camera.centre)
     yield Item(log, stamp, f"{view.under}/camera_info", info)
     frames = list(zip(stage.world.links, shot.places, shot.turns, strict=True))
     if stage.mount is None:  # else /tf_static holds it
-        frames.append((view.frame, camera.position, quaternion(camera.rotation.T)))
-    yield Item(log, stamp, "/tf", messages.transforms(stamp, frames))
+        frames.append((view.frame, camera.position, quaternion_from_matrix(camera.rotation.T)))
+    yield Item(log, stamp, "/tf", messages.transforms_message(stamp, frames))
     link = stage.world.links.index("effector")
-    yield Item(log, stamp, "/truth/effector_pose", messages.pose(stamp, shot.places[link], shot.turns[link]))
+    yield Item(log, stamp, "/truth/effector_pose", messages.pose_message(stamp, shot.places[link], shot.turns[link]))
     yield from _feature_pose(stage, shot, stamp, log)
     for topic, uv in seen.items():
-        yield Item(log, stamp, topic, messages.pixel(stamp, view.frame, uv))
+        yield Item(log, stamp, topic, messages.pixel_message(stamp, view.frame, uv))
 
 
 def _feature_pose(stage: Stage, shot: _Shot, stamp: int, log: int) -> Iterator[Item]:
     """/truth/feature_pose, where the feature is not simply the effector."""
-    feature = _feature(stage, shot.places, shot.turns)
+    feature = _feature_in_base(stage, shot.places, shot.turns)
     if isinstance(feature, Plate) or (feature is not None and stage.mount is not None):
         rotation = feature.rotation if isinstance(feature, Plate) else np.eye(3)
-        pose = messages.pose(stamp, feature.place, quaternion(rotation))
+        pose = messages.pose_message(stamp, feature.place, quaternion_from_matrix(rotation))
         yield Item(log, stamp, "/truth/feature_pose", pose)
 
 
-def _image(form: str, frame: str, stamp: int, picture: Array) -> object:
+def _image_message(form: str, frame: str, stamp: int, picture: Array) -> object:
     import cv2
 
     if form == "raw":
-        return messages.raw(stamp, frame, picture)
+        return messages.raw_image(stamp, frame, picture)
     options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
     jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), options)[1]
-    return messages.compressed(stamp, frame, jpeg.ravel())
+    return messages.compressed_image(stamp, frame, jpeg.ravel())
 
 
-def _card(stage: Stage) -> _Card | None:
+def _card_over_effector(stage: Stage) -> _Card | None:
     """The card that hides the end effector's whole path from the head's camera while the plan covers it."""
     if stage.wish.plan.covered is None or stage.mount is not None:
         return None
@@ -230,10 +230,10 @@ def _card(stage: Stage) -> _Card | None:
     return _Card((left, top, right, bottom), float(ahead.min()) - 2.4 * EFFECTOR_RADIUS, start, end)
 
 
-def _cover(picture: Array, depth: Array, card: _Card, t: float) -> None:
+def _cover_with_card(picture: Array, depth: Array, card: _Card, t: float) -> None:
     """Draw the card at t, if it is in the image."""
     left, top, right, bottom = card.box
     out = max(card.start - t, t - card.end, 0.0) / _SLIDE
     down = round(out * (picture.shape[0] - top))
     if out < 1.0:
-        cameras.card(picture, depth, (left, top + down, right, min(bottom + down, picture.shape[0])), card.depth)
+        cameras.draw_card(picture, depth, (left, top + down, right, min(bottom + down, picture.shape[0])), card.depth)

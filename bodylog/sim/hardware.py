@@ -9,7 +9,7 @@ import numpy as np
 from ..choices import HARDWARE
 from ..errors import UsageError
 from ..types import Array
-from .plan import unknown
+from .plan import describe_unknown_name
 
 EXAMPLE = "play=0.25,sag=0.3,correlated=0.002@2s"
 OUTLIER_RAD = 0.2
@@ -52,7 +52,7 @@ class Hardware:
 
 
 @dataclass(frozen=True)
-class Range:
+class ErrorRange:
     """Sizes of an error that can be typed: up to `most`, 0 or from `least`, in units of `unit` rad or 1."""
 
     most: float
@@ -61,17 +61,17 @@ class Range:
 
 
 _DEGREE = float(np.deg2rad(1.0))
-RANGES: Mapping[str, Range] = {
-    "play": Range(20.0, unit=_DEGREE),
-    "sag": Range(20.0, unit=_DEGREE),
-    "payload": Range(20.0, unit=_DEGREE),
-    "stick": Range(20.0, unit=_DEGREE),
-    "correlated": Range(1.0),
-    "counts": Range(1e9, least=4.0),
-    "tails": Range(100.0, least=2.1),
-    "outliers": Range(1.0),
-    "jitter": Range(0.1),
-    "rolling": Range(0.1),
+RANGES: Mapping[str, ErrorRange] = {
+    "play": ErrorRange(20.0, unit=_DEGREE),
+    "sag": ErrorRange(20.0, unit=_DEGREE),
+    "payload": ErrorRange(20.0, unit=_DEGREE),
+    "stick": ErrorRange(20.0, unit=_DEGREE),
+    "correlated": ErrorRange(1.0),
+    "counts": ErrorRange(1e9, least=4.0),
+    "tails": ErrorRange(100.0, least=2.1),
+    "outliers": ErrorRange(1.0),
+    "jitter": ErrorRange(0.1),
+    "rolling": ErrorRange(0.1),
 }
 _NUMBER = r"[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?"
 _MOST_CORRELATION_S = 1e4
@@ -94,9 +94,9 @@ def _split_item(item: str) -> tuple[str, str]:
     """The name of an error, and the text of its size."""
     name, equals, given = item.strip().partition("=")
     if name not in HARDWARE:
-        raise UsageError(f"--hardware: {unknown('error', name, HARDWARE)}; type: --hardware {EXAMPLE}")
+        raise UsageError(f"--hardware: {describe_unknown_name('error', name, HARDWARE)}; type: --hardware {EXAMPLE}")
     if not equals:
-        raise UsageError(f"--hardware: {name} has no size; possible: {_possible(name)}; type: --hardware {EXAMPLE}")
+        raise UsageError(f"--hardware: {name} has no size; possible: {_possible_sizes(name)}; type: --hardware {EXAMPLE}")
     return name, given
 
 
@@ -116,26 +116,26 @@ def _number_in_range(name: str, given: str) -> float:
     value = float(given) if re.fullmatch(_NUMBER, given) else -1.0
     size = RANGES[name]
     if not (value == 0.0 or size.least <= value <= size.most) or value < 0.0:
-        raise UsageError(f"--hardware: {name} is {given!r}; possible: {_possible(name)}; type: --hardware {EXAMPLE}")
+        raise UsageError(f"--hardware: {name} is {given!r}; possible: {_possible_sizes(name)}; type: --hardware {EXAMPLE}")
     return value
 
 
-def _possible(name: str) -> str:
+def _possible_sizes(name: str) -> str:
     size = RANGES[name]
     return f"{f'0, or {size.least:g}' if size.least else '0'} to {size.most:g} ({HARDWARE[name]})"
 
 
 def add_stick(commanded: Array, stick: float) -> Array:
     """Angles (N,M) of joints that hold still until the commanded ones (N,M) are `stick` rad away, then go there."""
-    return _followed(commanded, stick, to=0.0) if stick else commanded
+    return _follow_beyond_deadband(commanded, stick, to=0.0) if stick else commanded
 
 
 def add_play(motors: Array, play: float) -> Array:
     """Angles (N,M) of links that follow the motors' (N,M) once these are half the play (rad) away."""
-    return _followed(motors, play / 2, to=play / 2) if play else motors
+    return _follow_beyond_deadband(motors, play / 2, to=play / 2) if play else motors
 
 
-def _followed(leading: Array, most: float, to: float) -> Array:
+def _follow_beyond_deadband(leading: Array, most: float, to: float) -> Array:
     """Angles that stay until the leading ones (N,M) are more than `most` rad away, then move to `to` rad from them."""
     following = leading.copy()
     for k in range(1, len(leading)):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..types import Array
-from .camera import Camera
+from .camera import PinholeCamera
 
 JOINT = "head_pan_joint"
 SWING = 0.1
@@ -30,17 +30,17 @@ class Sway:
         return np.asarray(self.swing / 2 * (w * np.cos(t[:, None] * w + self.phase)).sum(axis=1))
 
 
-def head(rng: np.random.Generator) -> Sway:
+def head_sway(rng: np.random.Generator) -> Sway:
     """A head that turns about the vertical while the arm moves: to the body it is one more joint."""
     return Sway(JOINT, SWING, np.array([3.1, 5.3]), rng.uniform(0.0, 2 * np.pi, 2))
 
 
-def gripper(rng: np.random.Generator) -> Sway:
+def gripper_sway(rng: np.random.Generator) -> Sway:
     """A gripper, whose motion no image shows."""
     return Sway("gripper_joint", 0.4, np.array([4.1, 1.9]), rng.uniform(0.0, 2 * np.pi, 2))
 
 
-def turned(camera: Camera, angle: float) -> Camera:
+def turn_camera(camera: PinholeCamera, angle: float) -> PinholeCamera:
     """The camera turned to the left about the vertical through it by `angle` rad."""
     c, s = np.cos(angle), np.sin(angle)
     return replace(camera, rotation=camera.rotation @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))

@@ -16,7 +16,7 @@ _HALF_STEP_S = 1e-4
 
 
 @dataclass(frozen=True)
-class JointMotion:
+class DrivenMotion:
     """Paths of the motors, which encoders read; of the links, which cameras see; and of the links in the frame of the
     encoders during the exploration, in which sag that was there already is no error: the truth.
     """
@@ -26,10 +26,10 @@ class JointMotion:
     truth: Motion
 
 
-def move_joints(commanded: Motion, hardware: Hardware, arm: Arm, duration: float) -> JointMotion:
+def move_joints(commanded: Motion, hardware: Hardware, arm: Arm, duration: float) -> DrivenMotion:
     """The motion of joints that are driven along the commanded path for `duration` s."""
     if not hardware.bends:
-        return JointMotion(commanded, commanded, commanded)
+        return DrivenMotion(commanded, commanded, commanded)
     t = np.arange(0.0, duration + 1.0 / _GRID_HZ, 1.0 / _GRID_HZ)
     path = commanded.position(t)
     driven = add_stick(path, hardware.stick)
@@ -38,24 +38,24 @@ def move_joints(commanded: Motion, hardware: Hardware, arm: Arm, duration: float
     levers = _gravity_levers(arm)
 
     def motors(at: Array) -> Array:
-        return commanded.position(at) + _interpolated(at, t, behind)
+        return commanded.position(at) + _interpolate_columns(at, t, behind)
 
     def sagging(at: Array, load: float) -> Array:
         angles = motors(at)
-        loose = angles + _interpolated(at, t, slack)
+        loose = angles + _interpolate_columns(at, t, slack)
         return loose - load * levers(angles) if load else loose
 
-    truth = _moving(lambda at: sagging(at, hardware.payload))
-    links = _moving(lambda at: sagging(at, hardware.sag + hardware.payload))
-    return JointMotion(_moving(motors), links, truth)
+    truth = _motion_by_differences(lambda at: sagging(at, hardware.payload))
+    links = _motion_by_differences(lambda at: sagging(at, hardware.sag + hardware.payload))
+    return DrivenMotion(_motion_by_differences(motors), links, truth)
 
 
-def _interpolated(at: Array, t: Array, values: Array) -> Array:
+def _interpolate_columns(at: Array, t: Array, values: Array) -> Array:
     """Values (K,M) at times t (K,) s, interpolated to times at (N,) s."""
     return np.column_stack([np.interp(at, t, column) for column in values.T])
 
 
-def _moving(position: Callable[[Array], Array]) -> Motion:
+def _motion_by_differences(position: Callable[[Array], Array]) -> Motion:
     """The motion along a path whose rate has no formula."""
 
     def rate(t: Array) -> Array:
@@ -70,8 +70,8 @@ def _gravity_levers(arm: Arm) -> Callable[[Array], Array]:
     A joint with a spring turns by its torque over the spring's constant; the torque of a weight is minus the derivative
     of its height by the joint.
     """
-    robot = urdf.load(arm.urdf)
-    hand = chain.between(robot, robot.root, "effector").over(arm.joints)
+    robot = urdf.load_urdf(arm.urdf)
+    hand = chain.chain_between(robot, robot.root, "effector").over(arm.joints)
     # the first joint's column stands upright: it carries nothing
     length = float(np.linalg.norm(hand.fixed[2:, :3, 3], axis=1).sum())
 

@@ -16,12 +16,12 @@ class Motion:
     rate: Callable[[Array], Array]
 
 
-def still(pose: Array) -> Motion:
+def stand_still(pose: Array) -> Motion:
     """No motion: `pose` (M,) at all times."""
     return Motion(lambda t: np.tile(pose, (len(t), 1)), lambda t: np.zeros((len(t), len(pose))))
 
 
-def wander(points: Array, pace: float) -> Motion:
+def wander_through_points(points: Array, pace: float) -> Motion:
     """A spline through points (K,M), `pace` s apart, at rest at both ends."""
     from scipy.interpolate import CubicSpline
 
@@ -29,7 +29,7 @@ def wander(points: Array, pace: float) -> Motion:
     return Motion(spline, spline.derivative())
 
 
-def reaches(points: Array, pace: float) -> Motion:
+def reach_between_points(points: Array, pace: float) -> Motion:
     """Minimum-jerk reaches (Flash & Hogan 1985) from each of points (K,M) to the next, each `pace` s long."""
     steps = np.diff(points, axis=0)
 
@@ -48,7 +48,7 @@ def reaches(points: Array, pace: float) -> Motion:
     return Motion(position, rate)
 
 
-def spread(count: int, swing: Array, rng: np.random.Generator) -> Array:
+def spread_points(count: int, swing: Array, rng: np.random.Generator) -> Array:
     """`count` points (K,M) spread evenly over the box ±swing (M,): a Kronecker sequence with a random start.
 
     The step of each of the m axes that move is a power of the root of x^(m+1) = x + 1 (the plastic number's family).

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from ..choices import CAMERAS, FEATURES, IMAGES, SCENES
 from ..errors import UsageError
-from .plan import Plan, unknown
+from .plan import ScenarioPlan, describe_unknown_name
 
 SIZES = {"ball": 0.05, "tag": 0.08, "none": 0.0}
 """Default diameter of the ball and side of the tag's black square (m)."""
@@ -47,7 +47,7 @@ class Options:
         return SIZES[self.feature] if self.feature_size is None else self.feature_size
 
 
-def check(options: Options) -> None:
+def check_options(options: Options) -> None:
     """UsageError when a value is not possible."""
     for name, value, possible in (
         ("image", options.image, IMAGES),
@@ -56,20 +56,20 @@ def check(options: Options) -> None:
         ("scene", options.scene, SCENES),
     ):
         if value not in possible:
-            raise UsageError(f"{unknown(name, value, possible)}; type: --{name} {possible[0]}")
-    within("seed", options.seed, 0, 2**63)
-    within("width", options.size[0], 64, 4096)
-    within("height", options.size[1], 48, 4096)
-    within("cameras", options.cameras, 1, 2)
+            raise UsageError(f"{describe_unknown_name(name, value, possible)}; type: --{name} {possible[0]}")
+    require_within("seed", options.seed, 0, 2**63)
+    require_within("width", options.size[0], 64, 4096)
+    require_within("height", options.size[1], 48, 4096)
+    require_within("cameras", options.cameras, 1, 2)
     if options.scene == "bare" and (options.feature == "tag" or options.marker or options.feature_size is not None):
         raise UsageError("--scene bare: it has no feature; leave --feature, --feature-size and --marker out")
     if options.feature == "none" and options.feature_size is not None:
         raise UsageError("--feature-size: there is no feature (--feature none); leave --feature-size out")
     if options.feature != "none":
-        within("feature-size", options.side, 0.005, 0.5)
+        require_within("feature-size", options.side, 0.005, 0.5)
 
 
-def check_camera(scenario: str, plan: Plan, options: Options) -> None:
+def check_camera(scenario: str, plan: ScenarioPlan, options: Options) -> None:
     """UsageError for options of the head's camera with a camera on the wrist."""
     if options.camera == "head":
         return
@@ -81,7 +81,7 @@ def check_camera(scenario: str, plan: Plan, options: Options) -> None:
         raise UsageError(f"scenario {scenario}: the head's camera shows the touching hand; type: --camera head")
 
 
-def within(name: str, value: float, low: float, high: float) -> None:
+def require_within(name: str, value: float, low: float, high: float) -> None:
     """UsageError when the value of `--name` is not between low and high."""
     if not low <= value <= high:
         raise UsageError(f"{name} is {value}; possible: {low} to {high:g}; type: --{name} with such a number")

@@ -48,7 +48,7 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Plan:
+class ScenarioPlan:
     """The plan: motion, encoder model, contacts, times of the covered view, displacement of the hand's image.
 
     `noise` is the encoders' default standard deviation (rad); `covered` is the (start, end)
@@ -65,39 +65,39 @@ class Plan:
     aside: float = 0.0
 
 
-def plain(t: Array, q: Array, noise: Array) -> Array:
+def read_angles_with_noise(t: Array, q: Array, noise: Array) -> Array:
     """Encoders that read the joint angle plus noise."""
     return q + noise
 
 
-def explore(request: Request, swing: Array) -> motion.Motion:
+def plan_exploration(request: Request, swing: Array) -> motion.Motion:
     """Motor babbling: a spline through evenly spread points of the box home ± swing (M,)."""
-    return motion.wander(_points(request, swing, BABBLE), BABBLE)
+    return motion.wander_through_points(_points_in_box(request, swing, BABBLE), BABBLE)
 
 
-def reach(request: Request, swing: Array) -> motion.Motion:
+def plan_reaches(request: Request, swing: Array) -> motion.Motion:
     """Smooth reaches between places in the middle 70 % of the box home ± swing (M,), which exploration covers."""
-    return motion.reaches(_points(request, 0.7 * swing, REACH), REACH)
+    return motion.reach_between_points(_points_in_box(request, 0.7 * swing, REACH), REACH)
 
 
-def _points(request: Request, swing: Array, pace: float) -> Array:
+def _points_in_box(request: Request, swing: Array, pace: float) -> Array:
     """Points (K,M) rad of the box home ± swing (M,), one for every `pace` s."""
-    return request.arm.home + motion.spread(int(np.ceil(request.duration / pace)) + 2, swing, request.rng)
+    return request.arm.home + motion.spread_points(int(np.ceil(request.duration / pace)) + 2, swing, request.rng)
 
 
-def swing(request: Request, joints: tuple[int, ...] | None = None) -> Array:
+def swing_of_joints(request: Request, joints: tuple[int, ...] | None = None) -> Array:
     """The swing (M,) rad of `joints`, or of those that move by default; of all if the request is `full`."""
     most = np.array(request.arm.swing)
     chosen = range(len(most)) if request.full else joints or request.arm.moving
     return np.where(np.isin(np.arange(len(most)), list(chosen)), most, 0.0)
 
 
-def strokes(request: Request, first: float, delay: Callable[[], float]) -> tuple[Contact, ...]:
+def plan_strokes(request: Request, first: float, delay: Callable[[], float]) -> tuple[Contact, ...]:
     """Contacts from `first` s to the end, each 0.7 to 1.1 s long, with the hand outside the image between them."""
     contacts: list[Contact] = []
     onset = first
     while True:
-        contact = _contact(onset, delay(), request.rng)
+        contact = _draw_contact(onset, delay(), request.rng)
         gone = onset + contact.length + contact.delay + TRAVEL
         if gone > request.duration:
             return tuple(contacts)
@@ -105,7 +105,7 @@ def strokes(request: Request, first: float, delay: Callable[[], float]) -> tuple
         onset = gone + TRAVEL + request.rng.uniform(0.1, 0.9)
 
 
-def _contact(onset: float, delay: float, rng: np.random.Generator) -> Contact:
+def _draw_contact(onset: float, delay: float, rng: np.random.Generator) -> Contact:
     start = rng.uniform(0.08, 0.09)
     return Contact(onset, rng.uniform(0.7, 1.1), delay, start, start - rng.uniform(0.06, 0.07))
 
@@ -115,22 +115,22 @@ class Scenario:
     """A scenario: description, plan, default duration (s), variants and places, the default first."""
 
     summary: str
-    plan: Callable[[Request], Plan]
+    plan: Callable[[Request], ScenarioPlan]
     duration: float
     variants: tuple[str, ...] = ("",)
     places: tuple[str, ...] = ("",)
 
 
-def choose(scenario: str, option: str, value: str | None, possible: tuple[str, ...]) -> str:
+def choose_or_default(scenario: str, option: str, value: str | None, possible: tuple[str, ...]) -> str:
     """`value`, or the first of `possible` when it is None; UsageError naming the nearest when it is not possible."""
     if value is None or value in possible:
         return possible[0] if value is None else value
     if possible == ("",):
         raise UsageError(f"scenario {scenario}: it has no {option}s, {value!r} was given; leave --{option} out")
-    raise UsageError(f"scenario {scenario}: {unknown(option, value, possible)}; type: --{option} {possible[0]}")
+    raise UsageError(f"scenario {scenario}: {describe_unknown_name(option, value, possible)}; type: --{option} {possible[0]}")
 
 
-def unknown(what: str, value: str, possible: Iterable[str]) -> str:
+def describe_unknown_name(what: str, value: str, possible: Iterable[str]) -> str:
     """One line about an unknown name: the possible names, and the nearest if one is near."""
     names = list(possible)
     near = get_close_matches(value, names, 1)

@@ -14,8 +14,8 @@ from .arms import ARMS
 from .film import camera_items, side_items
 from .hardware import parse_hardware
 from .joint_motion import move_joints
-from .options import Options, check, check_camera, within
-from .plan import Plan, Request, choose, unknown
+from .options import Options, check_options, check_camera, require_within
+from .plan import ScenarioPlan, Request, choose_or_default, describe_unknown_name
 from .scenarios import SCENARIOS
 from .stage import Stage, Wish, open_stage
 from .streams import encoder_items, event_items, other_items, skin_items
@@ -24,76 +24,76 @@ _CHUNK_BYTES = 1 << 18
 """Small chunks: a log truncated by a crash loses little."""
 
 
-def record(scenario: str, out: Path, *, progress: Callable[[int], None] | None = None, **options: Any) -> None:
+def record_scenario(scenario: str, out: Path, *, progress: Callable[[int], None] | None = None, **options: Any) -> None:
     """Write `scenario` to `out`, the same bytes for the same `options` (see Options), or raise UsageError.
 
     `progress` is called with 1 after each image of the first camera.
     """
     asked = Options(**options)
-    plan, length = _plan(scenario, asked)
-    check(asked)
+    plan, length = _plan_scenario(scenario, asked)
+    check_options(asked)
     check_camera(scenario, plan, asked)
     wished = plan.noise if asked.noise is None else asked.noise
-    within("noise", wished, 0.0, 10.0)
+    require_within("noise", wished, 0.0, 10.0)
     hardware = parse_hardware(asked.hardware)
     arm = ARMS[asked.arm]
     joints = move_joints(plan.motion, hardware, arm, length)
     wish = Wish(scenario, asked, arm, replace(plan, motion=joints.links), length, wished, hardware, joints)
-    with atomic_files.replacing(out) as beside, open_stage(wish) as stage:
-        _write(beside, stage, progress)
+    with atomic_files.replace_atomically(out) as beside, open_stage(wish) as stage:
+        _write_recording(beside, stage, progress)
 
 
-def _plan(scenario: str, options: Options) -> tuple[Plan, float]:
+def _plan_scenario(scenario: str, options: Options) -> tuple[ScenarioPlan, float]:
     if scenario not in SCENARIOS:
-        raise UsageError(f"{unknown('scenario', scenario, SCENARIOS)}; type: bodylog record babble -o babble.mcap")
+        raise UsageError(f"{describe_unknown_name('scenario', scenario, SCENARIOS)}; type: bodylog record babble -o babble.mcap")
     if options.arm not in ARMS:
-        raise UsageError(f"{unknown('arm', options.arm, ARMS)}; type: --arm ur5")
-    within("seed", options.seed, 0, 2**63)
+        raise UsageError(f"{describe_unknown_name('arm', options.arm, ARMS)}; type: --arm ur5")
+    require_within("seed", options.seed, 0, 2**63)
     entry = SCENARIOS[scenario]
     length = entry.duration if options.duration is None else options.duration
-    within("duration", length, 0.1, 86400.0)
-    variant = choose(scenario, "variant", options.variant, entry.variants)
-    place = choose(scenario, "place", options.place, entry.places)
+    require_within("duration", length, 0.1, 86400.0)
+    variant = choose_or_default(scenario, "variant", options.variant, entry.variants)
+    place = choose_or_default(scenario, "place", options.place, entry.places)
     request = Request(ARMS[options.arm], length, options.full, variant, place, np.random.default_rng([options.seed, 0]))
     return entry.plan(request), length
 
 
-def _write(path: Path, stage: Stage, progress: Callable[[int], None] | None) -> None:
+def _write_recording(path: Path, stage: Stage, progress: Callable[[int], None] | None) -> None:
     from mcap.writer import CompressionType, Writer
 
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="bodylog")
-        writer.add_metadata("bodylog_simulation", _settings(stage.wish))
-        _fill(writer, stage, progress)
+        writer.add_metadata("bodylog_simulation", _recording_metadata(stage.wish))
+        _write_streams(writer, stage, progress)
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _fill(writer: Any, stage: Stage, progress: Callable[[int], None] | None) -> None:
-    from .messages import store
+def _write_streams(writer: Any, stage: Stage, progress: Callable[[int], None] | None) -> None:
+    from .messages import type_store
 
     channels: dict[str, tuple[int, int]] = {}
     streams = (encoder_items, other_items, skin_items, camera_items, side_items, event_items)
     for item in heapq.merge(*(stream(stage) for stream in streams), key=lambda item: item.log_ns):
         kind = item.message.__msgtype__
         if item.topic not in channels:
-            channels[item.topic] = (_channel(writer, item.topic, kind), 0)
+            channels[item.topic] = (_register_channel(writer, item.topic, kind), 0)
         channel, count = channels[item.topic]
         channels[item.topic] = (channel, count + 1)
-        payload = bytes(store().serialize_cdr(item.message, kind))
+        payload = bytes(type_store().serialize_cdr(item.message, kind))
         writer.add_message(channel, item.log_ns, payload, item.stamp_ns, count)
         if progress is not None and item.topic == stage.image_topic:
             progress(1)
 
 
-def _channel(writer: Any, topic: str, kind: str) -> int:
-    from .messages import definition
+def _register_channel(writer: Any, topic: str, kind: str) -> int:
+    from .messages import message_definition
 
-    schema = writer.register_schema(kind, "ros2msg", definition(kind))
+    schema = writer.register_schema(kind, "ros2msg", message_definition(kind))
     return int(writer.register_channel(topic, "cdr", schema))
 
 
-def _settings(wish: Wish) -> dict[str, str]:
+def _recording_metadata(wish: Wish) -> dict[str, str]:
     """The log's metadata about its recording; newer options only where they are used."""
     options, usual = wish.options, Options()
     newer = ("cameras", "turning", "feature", "feature_size", "clutter", "split_joints", "camera", "hardware", "scene")

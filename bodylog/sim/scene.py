@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from ..types import Array
-from .camera import GREEN, Camera, Colour, ellipse_centre, sphere
+from .camera import GREEN, PinholeCamera, Colour, ellipse_centre, draw_sphere
 from .options import Options
 from .tag import Plate
 
@@ -22,17 +22,17 @@ _POST, _POST_OF_SIDE = 0.05, 0.35
 """Length of the post that holds a plate clear of the limb: m, and in sides of the tag."""
 
 
-class Thing(Protocol):
+class SceneThing(Protocol):
     """A thing drawn into the image: its centre, and its visible share."""
 
     @property
     def place(self) -> Array:
         """The centre (3,) m."""
 
-    def pixel(self, camera: Camera) -> Array:
+    def pixel(self, camera: PinholeCamera) -> Array:
         """The centre of the thing's image (2,) px."""
 
-    def draw(self, picture: Array, depth: Array, camera: Camera) -> float:
+    def draw(self, picture: Array, depth: Array, camera: PinholeCamera) -> float:
         """Draw it; return the visible share of its outline, 0..1."""
 
 
@@ -48,13 +48,13 @@ class Ball:
         """The same ball, given in a frame at `place` (3,) m turned by `rotation` (3,3)."""
         return replace(self, place=rotation @ self.place + place)
 
-    def pixel(self, camera: Camera) -> Array:
+    def pixel(self, camera: PinholeCamera) -> Array:
         """The centroid (2,) px of its outline."""
         return np.asarray(ellipse_centre(camera, self.place[None], self.radius)[0])
 
-    def draw(self, picture: Array, depth: Array, camera: Camera) -> float:
+    def draw(self, picture: Array, depth: Array, camera: PinholeCamera) -> float:
         """Draw it into an image (H,W,3) uint8 and depth (H,W) m; return the visible share of its outline, 0..1."""
-        return sphere(picture, depth, camera, self.place, self.radius, np.array(self.colour))
+        return draw_sphere(picture, depth, camera, self.place, self.radius, np.array(self.colour))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,19 +92,19 @@ class Cylinder:
     length: float
 
 
-def on_the_arm(options: Options, camera: Camera, place: Array, rotation: Array, rng: np.random.Generator) -> Scene:
+def on_the_arm(options: Options, camera: PinholeCamera, place: Array, rotation: Array, rng: np.random.Generator) -> Scene:
     """The scene before the head's camera; the effector at home is at `place` (3,) m, turned by `rotation` (3,3)."""
     towards = (camera.position - place) / np.linalg.norm(camera.position - place)
     forward = (_POST + _POST_OF_SIDE * options.side) * towards if options.feature == "tag" else np.zeros(3)
-    seen = _feature(options, place + forward, camera.rotation.T)
+    seen = _make_feature(options, place + forward, camera.rotation.T)
     carried = None if seen is None else seen.moved(-rotation.T @ place, rotation.T)
-    return Scene(carried, "effector", *_clutter(options, camera, rng))
+    return Scene(carried, "effector", *_make_clutter(options, camera, rng))
 
 
-def before_the_wrist(options: Options, camera: Camera, distance: float, rng: np.random.Generator) -> Scene:
+def before_the_wrist(options: Options, camera: PinholeCamera, distance: float, rng: np.random.Generator) -> Scene:
     """The scene that the camera on the wrist sees when the arm is at home: the feature `distance` m ahead."""
     place = camera.position + distance * camera.rotation[2]
-    return Scene(_feature(options, place, camera.rotation.T), None, *_clutter(options, camera, rng))
+    return Scene(_make_feature(options, place, camera.rotation.T), None, *_make_clutter(options, camera, rng))
 
 
 def studs(cylinders: Iterable[Cylinder], rng: np.random.Generator) -> tuple[tuple[str, Ball], ...]:
@@ -120,7 +120,7 @@ def studs(cylinders: Iterable[Cylinder], rng: np.random.Generator) -> tuple[tupl
     return tuple(found)
 
 
-def _feature(options: Options, place: Array, rotation: Array) -> Ball | Plate | None:
+def _make_feature(options: Options, place: Array, rotation: Array) -> Ball | Plate | None:
     """The tracked thing, in the base frame."""
     if options.feature == "none" or options.scene == "bare":
         return None
@@ -148,20 +148,20 @@ _TAG_AT = (-0.20, -0.30, 1.90, 0.16)
 _MOVED = 0.02
 
 
-def _clutter(
-    options: Options, camera: Camera, rng: np.random.Generator
+def _make_clutter(
+    options: Options, camera: PinholeCamera, rng: np.random.Generator
 ) -> tuple[tuple[Ball | Plate, ...], tuple[Box, ...]]:
     """Balls of the feature's colour, one of them bigger and nearer; a foreign tag; saturated furniture."""
     if not options.clutter:
         return (), ()
-    balls = tuple(Ball(_stand(camera, at, rng), radius, colour) for *at, radius, colour in _BALLS)
+    balls = tuple(Ball(_place_before_camera(camera, at, rng), radius, colour) for *at, radius, colour in _BALLS)
     *at, side = _TAG_AT
-    tag = Plate(_stand(camera, at, rng), camera.rotation.T, side, FOREIGN_TAG)
-    boxes = tuple(Box(_stand(camera, at, rng), camera.rotation.T, half, colour) for *at, half, colour in _BOXES)
+    tag = Plate(_place_before_camera(camera, at, rng), camera.rotation.T, side, FOREIGN_TAG)
+    boxes = tuple(Box(_place_before_camera(camera, at, rng), camera.rotation.T, half, colour) for *at, half, colour in _BOXES)
     return (*balls, tag), boxes
 
 
-def _stand(camera: Camera, at: list[float], rng: np.random.Generator) -> Array:
+def _place_before_camera(camera: PinholeCamera, at: list[float], rng: np.random.Generator) -> Array:
     right, down, ahead = at
     across = np.array([right, down]) + rng.uniform(-_MOVED, _MOVED, 2)
     return np.asarray(camera.position + np.array([*across * ahead, ahead]) @ camera.rotation)

@@ -14,31 +14,31 @@ THRESHOLD_GAP = _REACH * float(np.sqrt(np.log((_MOST - _REST) / (THRESHOLD - _RE
 """The distance (m) at which a cell reads the threshold."""
 
 
-def places() -> Array:
+def cell_places() -> Array:
     """Cell centres (117,3) m in the frame of the skin's link; cell = column·13 + ring, ring 0 farthest from the tip."""
     angle = np.repeat(2 * np.pi * np.arange(COLUMNS) / COLUMNS, RINGS)
     along = np.tile((np.arange(RINGS) + 0.5) * _PITCH, COLUMNS)
     return np.column_stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), along])
 
 
-def rest(rng: np.random.Generator) -> Array:
+def rest_readings(rng: np.random.Generator) -> Array:
     """Each cell's reading when nothing is near (117,)."""
     return _REST + rng.uniform(-0.01, 0.01, CELLS)
 
 
-def proximity(hand: Array, hand_radius: float, base: Array) -> Array:
+def proximity_readings(hand: Array, hand_radius: float, base: Array) -> Array:
     """Noiseless readings (N,117) with the hand's centre at `hand` (N,3) m, NaN rows when it is away."""
-    distance = np.linalg.norm(hand[:, None, :] - places(), axis=2) - hand_radius
+    distance = np.linalg.norm(hand[:, None, :] - cell_places(), axis=2) - hand_radius
     closeness = np.exp(-((np.maximum(distance, 0.0) / _REACH) ** 2))
     return np.asarray(base + (_MOST - base) * np.nan_to_num(closeness))
 
 
-def read(signal: Array, rng: np.random.Generator) -> Array:
+def add_skin_noise(signal: Array, rng: np.random.Generator) -> Array:
     """Readings (N,117) float32 in (0,1): `signal` with sensor noise."""
     return np.clip(signal + rng.normal(0.0, _NOISE, signal.shape), 0.001, 0.999).astype(np.float32)
 
 
-def crossings(t: Array, signal: Array) -> tuple[float, float]:
+def threshold_crossings(t: Array, signal: Array) -> tuple[float, float]:
     """First and last time (s) the strongest cell of signal (N,117), low at both ends, crosses the threshold."""
     over = signal.max(axis=1) - THRESHOLD
     touched = np.flatnonzero(over > 0)

@@ -15,15 +15,15 @@ from ..types import Array
 from . import camera as cameras
 from . import hand, scene
 from .arms import Arm
-from .camera import Camera
+from .camera import PinholeCamera
 from .hardware import Hardware
-from .head import Sway, gripper, head, turned
-from .joint_motion import JointMotion
+from .head import Sway, gripper_sway, head_sway, turn_camera
+from .joint_motion import DrivenMotion
 from .options import Options
-from .plan import Plan
+from .plan import ScenarioPlan
 from .scene import Scene
-from .world import World, matrix, open_world
-from .wrist import DISTANCE, Mount, mounted
+from .world import World, matrix_from_quaternion, open_world
+from .wrist import DISTANCE, Mount, camera_on_mount
 
 START_NS = 1_767_225_600 * 1_000_000_000
 """2026-01-01T00:00:00Z: every recording starts here."""
@@ -54,11 +54,11 @@ class Wish:
     scenario: str
     options: Options
     arm: Arm
-    plan: Plan
+    plan: ScenarioPlan
     duration: float
     noise: float
     hardware: Hardware
-    joints: JointMotion
+    joints: DrivenMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,19 +71,19 @@ class Stage:
 
     wish: Wish
     world: World
-    camera: Camera
+    camera: PinholeCamera
     column: int
-    side: Camera | None
+    side: PinholeCamera | None
     head: Sway | None
     mount: Mount | None
     gripper: Sway | None
     scene: Scene
 
-    def seen_from(self, t: float) -> Camera:
+    def seen_from(self, t: float) -> PinholeCamera:
         """The first camera at t s."""
         if self.mount is not None:
-            return mounted(self.mount, self.camera, *self.world.pose(self.wish.plan.motion.position(np.array([t]))[0]))
-        return self.camera if self.head is None else turned(self.camera, float(self.head.angle(np.array([t]))[0]))
+            return camera_on_mount(self.mount, self.camera, *self.world.pose(self.wish.plan.motion.position(np.array([t]))[0]))
+        return self.camera if self.head is None else turn_camera(self.camera, float(self.head.angle(np.array([t]))[0]))
 
     @property
     def moves(self) -> bool:
@@ -112,22 +112,22 @@ def open_stage(wish: Wish) -> Iterator[Stage]:
     with open_world(wish.arm) as world:
         places, turns = world.pose(np.array(wish.arm.home))
         link, effector = world.links.index("skin"), world.links.index("effector")
-        target, rotation = places[effector], matrix(turns[effector])
+        target, rotation = places[effector], matrix_from_quaternion(turns[effector])
         camera, side = (
             cameras.look_at(target + place, target + _ASIDE, options.size) for place in (wish.arm.camera, wish.arm.side)
         )
         mount = Mount(effector) if options.camera == "wrist" else None
         if mount is not None:
-            camera = mounted(mount, cameras.wide(options.size), places, turns)
+            camera = camera_on_mount(mount, cameras.wide_camera(options.size), places, turns)
             around = scene.before_the_wrist(options, camera, DISTANCE, chances["scene"])
         else:
             around = scene.on_the_arm(options, camera, target, rotation, chances["scene"])
         if options.scene == "bare":
             around = replace(around, studs=scene.studs(world.cylinders(), chances["studs"]))
         world.furnish(around.boxes)
-        column = hand.facing(matrix(turns[link]).T @ (camera.position - places[link]))
-        turn = head(chances["head"]) if options.turning else None
-        grip = gripper(chances["gripper"]) if options.split_joints else None
+        column = hand.column_facing_camera(matrix_from_quaternion(turns[link]).T @ (camera.position - places[link]))
+        turn = head_sway(chances["head"]) if options.turning else None
+        grip = gripper_sway(chances["gripper"]) if options.split_joints else None
         yield Stage(wish, world, camera, column, side if options.cameras > 1 else None, turn, mount, grip, around)
 
 
@@ -147,7 +147,7 @@ def seen_hand(stage: Stage, t: Array) -> Array:
     """The hand's centre (N,3) m as the image shows it, base frame; NaN when away."""
     places, turns = stage.world.pose(stage.wish.plan.motion.position(t[:1])[0])
     link = stage.world.links.index("skin")
-    place = hand.path(stage.wish.plan.contacts, stage.column, t, seen=True) @ matrix(turns[link]).T + places[link]
+    place = hand.hand_path(stage.wish.plan.contacts, stage.column, t, seen=True) @ matrix_from_quaternion(turns[link]).T + places[link]
     ahead = (place - stage.camera.position) @ stage.camera.rotation[2]
     shift = stage.wish.plan.aside * stage.camera.width / stage.camera.focal * ahead
     return np.asarray(place + shift[:, None] * stage.camera.rotation[0])

@@ -22,7 +22,7 @@ _HARDWARE = 10
 
 
 @dataclass(frozen=True)
-class _Part:
+class _JointPart:
     """A part's topic and rate Hz, first instant and clock offset in ns, and random generator."""
 
     topic: str
@@ -32,8 +32,8 @@ class _Part:
     stream: int
 
 
-_HEAD = _Part("/head/joint_states", 30.0, 11_000_000, 20_000_000, 8)
-_GRIPPER = _Part("/gripper/joint_states", 50.0, 3_000_000, -7_000_000, 9)
+_HEAD = _JointPart("/head/joint_states", 30.0, 11_000_000, 20_000_000, 8)
+_GRIPPER = _JointPart("/gripper/joint_states", 50.0, 3_000_000, -7_000_000, 9)
 
 
 def encoder_items(stage: Stage) -> Iterator[Item]:
@@ -41,12 +41,12 @@ def encoder_items(stage: Stage) -> Iterator[Item]:
 
     Head and gripper are in the same messages, unless each part has its own topic.
     """
-    yield Item(START_NS, START_NS, "/robot_description", messages.text(stage.wish.arm.urdf.read_text()))
+    yield Item(START_NS, START_NS, "/robot_description", messages.text_message(stage.wish.arm.urdf.read_text()))
     rng = stage.chance(1)
     split = stage.wish.options.split_joints
     others = [sway for sway in (stage.head, stage.gripper) if sway is not None]
     true_names = [*stage.wish.arm.joints, *(sway.joint for sway in others)]
-    names, order = _alphabetical(stage.wish.arm.joints if split else true_names)
+    names, order = _alphabetical_order(stage.wish.arm.joints if split else true_names)
     lasting, late = _hardware_errors(stage)
     first = 0
     for stamps in stamps_of(stage.wish.duration, _JOINT_HZ, 0):
@@ -54,7 +54,7 @@ def encoder_items(stage: Stage) -> Iterator[Item]:
         q, rate = stage.wish.joints.truth.position(t), stage.wish.joints.truth.rate(t)
         rows = slice(first, first + len(t))
         first += len(t)
-        read, speed = _encoders(stage.wish, t, rng, None if lasting is None else lasting[rows])
+        read, speed = _encoder_readings(stage.wish, t, rng, None if lasting is None else lasting[rows])
         for sway in others:
             angle, turn = sway.angle(t)[:, None], sway.rate(t)[:, None]
             q, rate = np.hstack([q, angle]), np.hstack([rate, turn])
@@ -82,7 +82,7 @@ def _hardware_errors(stage: Stage) -> tuple[Array | None, Array | None]:
     return errors, np.rint((jittered - stamps) * 1e9).astype(np.int64)
 
 
-def _alphabetical(names: Sequence[str]) -> tuple[list[str], Array]:
+def _alphabetical_order(names: Sequence[str]) -> tuple[list[str], Array]:
     """The names in order, and the index of each among `names`."""
     order = np.argsort(names)
     return [names[joint] for joint in order], order
@@ -93,11 +93,11 @@ def other_items(stage: Stage) -> Iterator[Item]:
     if not stage.wish.options.split_joints:
         return iter(())
     parts = [(stage.head, _HEAD), (stage.gripper, _GRIPPER)]
-    streams = [_other(stage, sway, part) for sway, part in parts if sway is not None]
+    streams = [_other_joint_items(stage, sway, part) for sway, part in parts if sway is not None]
     return heapq.merge(*streams, key=lambda item: item.log_ns)
 
 
-def _other(stage: Stage, sway: Sway, part: _Part) -> Iterator[Item]:
+def _other_joint_items(stage: Stage, sway: Sway, part: _JointPart) -> Iterator[Item]:
     rng = stage.chance(part.stream)
     for instants in stamps_of(stage.wish.duration, part.rate, part.first_ns):
         t = instants / 1e9
@@ -109,7 +109,7 @@ def _other(stage: Stage, sway: Sway, part: _Part) -> Iterator[Item]:
             yield Item(int(log), stamp, part.topic, seen)
 
 
-def _encoders(wish: Wish, t: Array, rng: np.random.Generator, errors: Array | None) -> tuple[Array, Array]:
+def _encoder_readings(wish: Wish, t: Array, rng: np.random.Generator, errors: Array | None) -> tuple[Array, Array]:
     """The encoders' readings and their speeds (N,M); `errors` (N,M) rad in place of independent noise."""
     motors, plan = wish.joints.motors, wish.plan
     q = motors.position(t)
@@ -123,33 +123,33 @@ def _encoders(wish: Wish, t: Array, rng: np.random.Generator, errors: Array | No
 def skin_items(stage: Stage) -> Iterator[Item]:
     """/skin: the cells' readings."""
     rng = stage.chance(2)
-    base = skin.rest(rng)
+    base = skin.rest_readings(rng)
     for stamps in stamps_of(stage.wish.duration, _SKIN_HZ, 2_000_000):
-        place = hand.path(stage.wish.plan.contacts, stage.column, stamps / 1e9, seen=False)
-        data = skin.read(skin.proximity(place, HAND_RADIUS, base), rng)
+        place = hand.hand_path(stage.wish.plan.contacts, stage.column, stamps / 1e9, seen=False)
+        data = skin.add_skin_noise(skin.proximity_readings(place, HAND_RADIUS, base), rng)
         for row, (stamp, log) in enumerate(zip(stamps + START_NS, log_times(stamps, 2.0, 4.0, rng), strict=True)):
             yield Item(int(log), int(stamp), "/skin", messages.skin_array(int(stamp), data[row]))
 
 
 def event_items(stage: Stage) -> Iterator[Item]:
     """/truth/touch and /truth/stroke, each logged at its end."""
-    base = skin.rest(stage.chance(2))
-    items = [item for contact in stage.wish.plan.contacts for item in _events(stage, contact, base)]
+    base = skin.rest_readings(stage.chance(2))
+    items = [item for contact in stage.wish.plan.contacts for item in _events_of_contact(stage, contact, base)]
     yield from sorted(items, key=lambda item: item.log_ns)
 
 
-def _events(stage: Stage, contact: Contact, base: Array) -> Iterator[Item]:
+def _events_of_contact(stage: Stage, contact: Contact, base: Array) -> Iterator[Item]:
     t = np.arange(contact.onset - 0.2, contact.onset + contact.length + 0.2, 1e-3)
-    signal = skin.proximity(hand.path([contact], stage.column, t, seen=False), HAND_RADIUS, base)
-    onset, offset = skin.crossings(t, signal)
+    signal = skin.proximity_readings(hand.hand_path([contact], stage.column, t, seen=False), HAND_RADIUS, base)
+    onset, offset = skin.threshold_crossings(t, signal)
     cells = np.flatnonzero(signal.max(axis=0) > skin.THRESHOLD)
     stamp = START_NS + round(onset * 1e9)
-    touch = messages.touch(stamp, offset - onset, cells, float(signal.max()))
+    touch = messages.touch_message(stamp, offset - onset, cells, float(signal.max()))
     yield Item(START_NS + round(offset * 1e9) + 3_000_000, stamp, "/truth/touch", touch)
     begin, end = contact.onset + contact.delay, contact.onset + contact.length + contact.delay
     places = seen_hand(stage, np.array([begin, end]))
     views = stage.seen_from(begin), stage.seen_from(end)
     pixels = [ellipse_centre(view, place[None], HAND_RADIUS)[0] for view, place in zip(views, places, strict=True)]
     stamp = START_NS + round(begin * 1e9)
-    stroke = messages.stroke(stamp, FRAME, end - begin, pixels[0], pixels[1], begin - onset)
+    stroke = messages.stroke_message(stamp, FRAME, end - begin, pixels[0], pixels[1], begin - onset)
     yield Item(START_NS + round(end * 1e9) + 3_000_000, stamp, "/truth/stroke", stroke)

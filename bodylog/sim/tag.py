@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from ..types import Array
-from .camera import NEAR, Camera
+from .camera import NEAR, PinholeCamera
 
 CELLS = 10
 """Cells along a plate of family 36h11: six of code, two of black border, two of white margin."""
@@ -31,16 +31,16 @@ class Plate:
         """The same plate, given in a frame at `place` (3,) m turned by `rotation` (3,3)."""
         return replace(self, place=rotation @ self.place + place, rotation=rotation @ self.rotation)
 
-    def pixel(self, camera: Camera) -> Array:
+    def pixel(self, camera: PinholeCamera) -> Array:
         """The centre's image (2,) px."""
-        return np.asarray(_project(camera, self.place[None])[0])
+        return np.asarray(_project_to_pixels(camera, self.place[None])[0])
 
     def corners(self, side: float) -> Array:
         """Corners (4,3) m of a concentric square: upper left, upper right, lower right, lower left."""
         square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2
         return np.asarray(self.place + square @ self.rotation[:, :2].T)
 
-    def draw(self, picture: Array, depth: Array, camera: Camera) -> float:
+    def draw(self, picture: Array, depth: Array, camera: PinholeCamera) -> float:
         """Draw the plate into an image (H,W,3) uint8 and depth (H,W) m; return its visible share, 0..1."""
         import cv2
 
@@ -50,14 +50,14 @@ class Plate:
         facing = float(self.rotation[:, 2] @ towards / np.linalg.norm(towards))
         if ahead.min() < NEAR or facing <= 0.1:
             return 0.0
-        outline = _project(camera, plate)
+        outline = _project_to_pixels(camera, plate)
         low = np.maximum(np.floor(outline.min(0)).astype(int) - 1, 0)
         high = np.minimum(np.ceil(outline.max(0)).astype(int) + 2, [camera.width, camera.height])
         if (low >= high).any():
             return 0.0
-        texture, cover = _drawn(self.number, outline, low, high)
+        texture, cover = _draw_window(self.number, outline, low, high)
         window = slice(low[1], high[1]), slice(low[0], high[0])
-        near = _distance(camera, self, window) < depth[window] + self.side / 4
+        near = _distance_to_plate(camera, self, window) < depth[window] + self.side / 4
         cover = np.where(near, cover, 0.0)
         light = 0.7 + 0.3 * facing
         old = picture[window].astype(float)
@@ -66,14 +66,14 @@ class Plate:
         return float(cover.sum() / cv2.contourArea(outline.astype(np.float32)))
 
 
-def _project(camera: Camera, places: Array) -> Array:
+def _project_to_pixels(camera: PinholeCamera, places: Array) -> Array:
     """Pixels (N,2) of points (N,3) m in the base frame."""
     x, y, z = ((places - camera.position) @ camera.rotation.T).T
     return np.column_stack([x / z, y / z]) * camera.focal + camera.centre
 
 
 @cache
-def texture(number: int) -> Array:
+def tag_texture(number: int) -> Array:
     """The plate (160,160) float32 in grey levels."""
     import cv2
 
@@ -83,11 +83,11 @@ def texture(number: int) -> Array:
     return np.asarray(np.where(plate > 127, _WHITE, _BLACK).astype(np.float32))
 
 
-def _drawn(number: int, outline: Array, low: Array, high: Array) -> tuple[Array, Array]:
+def _draw_window(number: int, outline: Array, low: Array, high: Array) -> tuple[Array, Array]:
     """Grey levels and covered share of the pixels of a window: drawn at a higher resolution, then averaged."""
     import cv2
 
-    plate = texture(number)
+    plate = tag_texture(number)
     edge = plate.shape[0] - 0.5
     # Outer edges of the texture's corner texels, and of the finer pixels of the window.
     corners = np.array([[-0.5, -0.5], [edge, -0.5], [edge, edge], [-0.5, edge]], np.float32)
@@ -102,7 +102,7 @@ def _drawn(number: int, outline: Array, low: Array, high: Array) -> tuple[Array,
     return np.asarray(weighted / np.maximum(cover, 1e-6)), np.asarray(cover)
 
 
-def _distance(camera: Camera, plate: Plate, window: tuple[slice, slice]) -> Array:
+def _distance_to_plate(camera: PinholeCamera, plate: Plate, window: tuple[slice, slice]) -> Array:
     """Depth along the view (m) of the plate's plane at each pixel of a window."""
     rows, columns = window
     u, v = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))

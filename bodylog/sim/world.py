@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import UsageError
 from ..types import Array
 from .arms import Arm
-from .camera import FAR, NEAR, Camera
+from .camera import FAR, NEAR, PinholeCamera
 from .scene import Box, Cylinder
 
 EFFECTOR_RADIUS, MARKER_RADIUS, HAND_RADIUS = 0.025, 0.055, 0.035
@@ -42,7 +42,7 @@ class World:
         for shape in self.bullet.getVisualShapeData(self.body, physicsClientId=self.client):
             link, kind, sizes, place, turn = shape[1], shape[2], shape[3], shape[5], shape[6]
             if link >= 0 and kind == self.bullet.GEOM_CYLINDER:
-                yield Cylinder(self.links[link], np.array(place), matrix(np.array(turn)), sizes[1], sizes[0])
+                yield Cylinder(self.links[link], np.array(place), matrix_from_quaternion(np.array(turn)), sizes[1], sizes[0])
 
     def furnish(self, boxes: Sequence[Box]) -> None:
         """Put boxes into the world, where the arm does not touch them."""
@@ -50,27 +50,27 @@ class World:
             shape = self.bullet.createVisualShape(
                 self.bullet.GEOM_BOX, halfExtents=box.half, rgbaColor=[*box.colour, 1.0], physicsClientId=self.client
             )
-            place, turn = box.place.tolist(), quaternion(box.rotation).tolist()
+            place, turn = box.place.tolist(), quaternion_from_matrix(box.rotation).tolist()
             self.bullet.createMultiBody(0, -1, shape, place, turn, physicsClientId=self.client)
 
-    def picture(self, camera: Camera, wall: Array) -> tuple[Array, Array]:
+    def picture(self, camera: PinholeCamera, wall: Array) -> tuple[Array, Array]:
         """The arm in front of `wall` (H,W,3): RGB (H,W,3) uint8 and depth along the view (H,W) m."""
         import cv2
 
-        small = _smaller(camera)
+        small = _halve_if_fine(camera)
         colour, depth = self._render(small)
         before = cv2.resize(wall, (small.width, small.height), interpolation=cv2.INTER_AREA)
         cv2.copyTo(cv2.cvtColor(colour, cv2.COLOR_RGBA2RGB), (depth < FAR).astype(np.uint8), before)
         size = camera.width, camera.height
         return cv2.resize(before, size), cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
 
-    def _render(self, camera: Camera) -> tuple[Array, Array]:
+    def _render(self, camera: PinholeCamera) -> tuple[Array, Array]:
         """RGBA (H,W,4) uint8 and depth (H,W) m, FAR where nothing is."""
         shot = self.bullet.getCameraImage(
             camera.width,
             camera.height,
-            _view(camera),
-            _projection(camera),
+            _view_matrix(camera),
+            _projection_matrix(camera),
             shadow=0,
             renderer=self.bullet.ER_TINY_RENDERER,
             flags=self.bullet.ER_NO_SEGMENTATION_MASK,
@@ -90,7 +90,7 @@ def how_to_install() -> str:
 @contextmanager
 def open_world(arm: Arm) -> Iterator[World]:
     """The arm, loaded in its own PyBullet client; UsageError when PyBullet is not installed."""
-    with _silence():
+    with _silence_stderr():
         try:
             import pybullet
         except ImportError as error:
@@ -98,12 +98,12 @@ def open_world(arm: Arm) -> Iterator[World]:
         client = pybullet.connect(pybullet.DIRECT)
         body = pybullet.loadURDF(str(arm.urdf), useFixedBase=True, physicsClientId=client)
     try:
-        yield _world(pybullet, client, body, arm)
+        yield _world_of_body(pybullet, client, body, arm)
     finally:
         pybullet.disconnect(client)
 
 
-def _world(bullet: Any, client: int, body: int, arm: Arm) -> World:
+def _world_of_body(bullet: Any, client: int, body: int, arm: Arm) -> World:
     count = bullet.getNumJoints(body, physicsClientId=client)
     infos = [bullet.getJointInfo(body, number, physicsClientId=client) for number in range(count)]
     numbers = {info[1].decode(): info[0] for info in infos}
@@ -113,14 +113,14 @@ def _world(bullet: Any, client: int, body: int, arm: Arm) -> World:
     return World(bullet, client, body, links, tuple(numbers[name] for name in arm.joints))
 
 
-def matrix(xyzw: Array) -> Array:
+def matrix_from_quaternion(xyzw: Array) -> Array:
     """Rotation matrix (3,3) of a unit quaternion (4,)."""
     x, y, z, w = xyzw
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
 
 
-def quaternion(rotation: Array) -> Array:
+def quaternion_from_matrix(rotation: Array) -> Array:
     """Unit quaternion (4,) xyzw of a rotation (3,3): the eigenvector of Bar-Itzhack's symmetric matrix."""
     r = rotation
     k = np.zeros((4, 4))
@@ -131,14 +131,14 @@ def quaternion(rotation: Array) -> Array:
     return np.asarray(vector * np.sign(vector[3]))
 
 
-def _smaller(camera: Camera) -> Camera:
+def _halve_if_fine(camera: PinholeCamera) -> PinholeCamera:
     """The camera at half its size where that is fine enough for the arm: a quarter of the time, and smoother edges."""
     if camera.width < _FINE or camera.width % 2 or camera.height % 2:
         return camera
     return replace(camera, width=camera.width // 2, height=camera.height // 2, focal=camera.focal / 2)
 
 
-def _view(camera: Camera) -> list[float]:
+def _view_matrix(camera: PinholeCamera) -> list[float]:
     """OpenGL view matrix, column major: x right, y up, z towards the viewer."""
     view = np.eye(4)
     view[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ camera.rotation
@@ -146,7 +146,7 @@ def _view(camera: Camera) -> list[float]:
     return [float(value) for value in view.T.ravel()]
 
 
-def _projection(camera: Camera) -> list[float]:
+def _projection_matrix(camera: PinholeCamera) -> list[float]:
     """OpenGL projection matrix, column major, of the same pinhole.
 
     The renderer samples the lower right corner of each pixel: a shift of half a pixel moves that to its centre.
@@ -160,7 +160,7 @@ def _projection(camera: Camera) -> list[float]:
 
 
 @contextmanager
-def _silence() -> Iterator[None]:
+def _silence_stderr() -> Iterator[None]:
     """Silence PyBullet's C code, which writes its build time to file descriptor 2 when imported."""
     sys.stderr.flush()
     kept = os.dup(2)

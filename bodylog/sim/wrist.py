@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..types import Array
-from .camera import Camera
-from .world import matrix
+from .camera import PinholeCamera
+from .world import matrix_from_quaternion
 
 DISTANCE = 0.55
 """Distance (m) of the feature from the camera when the arm is at home."""
@@ -22,6 +22,6 @@ class Mount:
     link: int
 
 
-def mounted(mount: Mount, camera: Camera, places: Array, turns: Array) -> Camera:
+def camera_on_mount(mount: Mount, camera: PinholeCamera, places: Array, turns: Array) -> PinholeCamera:
     """The camera for links at positions (L,3) m with orientations (L,4) xyzw."""
-    return replace(camera, position=places[mount.link], rotation=np.asarray(matrix(turns[mount.link]).T))
+    return replace(camera, position=places[mount.link], rotation=np.asarray(matrix_from_quaternion(turns[mount.link]).T))

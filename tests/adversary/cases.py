@@ -307,14 +307,14 @@ def _left(before: dict[str, tuple[int, int]], after: dict[str, tuple[int, int]],
 def _same(file: Path, some: list[Channel]) -> str | None:
     """Differences between a container read by bodylog and what was written, or what other libraries read."""
     from bodylog.errors import BodylogError
-    from bodylog.logs.formats import open_log, payloads
+    from bodylog.logs.formats import open_log, payload_views
 
     found: Counter[tuple[str, bytes]] = Counter()
     try:
         with open_log(file) as log:
             names = {topic.id: topic.name for topic in log.topics}
             for batch in log.batches():
-                found.update((names[batch.topic_id], bytes(p)) for p in payloads(batch))
+                found.update((names[batch.topic_id], bytes(p)) for p in payload_views(batch))
             if log.findings:
                 return None  # a loss, and it was reported
     except BodylogError:

@@ -7,8 +7,8 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from bodylog.io.toml_keys import spell
-from bodylog.settings import Settings, about
+from bodylog.io.toml_keys import spell_key
+from bodylog.settings import Settings, find_declaration
 
 from .grammar import FLOATS, INTEGERS, TEXTS, Draw
 
@@ -89,7 +89,7 @@ def value(draw: Draw, depth: int = 0) -> Any:
 
 def fitting(draw: Draw, section: str, key: str, hint: Any) -> Any:
     """A value of a setting's type, mostly in range."""
-    described = about(section, spell(key)).key
+    described = find_declaration(section, spell_key(key)).key
     if described.choices and hint is str:
         return draw.of(described.choices)
     low, high = (-10.0, 10.0) if described.low == -math.inf else (described.low, described.high)

@@ -89,7 +89,7 @@ def _child(
 def _one(command: Sequence[str]) -> tuple[int, float]:
     start = _processor()
     try:
-        code = bodylog_cli.run(list(command))
+        code = bodylog_cli.run_command(list(command))
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 1
     except BaseException:

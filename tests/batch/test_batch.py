@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from bodylog import headline
-from bodylog.batch.jobs import KEYS, named, share
-from bodylog.batch.results import junit
+from bodylog.batch.jobs import KEYS, name_logs, select_shard
+from bodylog.batch.results import junit_xml
 from bodylog.errors import LogError, UsageError, WriteError
 
 ROOT = Path(__file__).parents[2]
@@ -86,7 +86,7 @@ def test_full_disk_becomes_a_row_and_the_exit_code(tmp_path, monkeypatch, robot,
 
 def test_junit_replaces_control_characters():
     row = {"name": "a\x00<b>", "log": "a", "exit_code": 65, "status": "unusable", "error": "bad \x1b[0m & worse"}
-    tree = ET.fromstring(junit([{**row, "scores": {}, "findings": []}]).encode())
+    tree = ET.fromstring(junit_xml([{**row, "scores": {}, "findings": []}]).encode())
     assert tree.find(".//testcase").get("name") == "a\ufffd<b>"
     assert tree.find(".//error").get("message") == "bad \ufffd[0m & worse"
 
@@ -211,8 +211,8 @@ def _kill_a_child(process):
 
 
 def test_shards_cover_all_logs_once(tmp_path, mixed):
-    names = named([str(mixed)])
-    assert sorted(name for i in (1, 2, 3) for name in share(names, (i, 3))) == sorted(names)
+    names = name_logs([str(mixed)])
+    assert sorted(name for i in (1, 2, 3) for name in select_shard(names, (i, 3))) == sorted(names)
 
 
 def test_cyclic_links_are_followed_once(tmp_path):
@@ -221,20 +221,20 @@ def test_cyclic_links_are_followed_once(tmp_path):
     for name, to in (("self", "."), ("up", ".."), ("again", "../a")):
         (tmp_path / "a" / name).symlink_to(to)
     (tmp_path / "b").symlink_to("a")
-    assert named([str(tmp_path)]) == {"x.mcap": str(tmp_path / "a" / "x.mcap")}
+    assert name_logs([str(tmp_path)]) == {"x.mcap": str(tmp_path / "a" / "x.mcap")}
 
 
 def test_logs_with_the_same_name_get_different_folders(tmp_path, mixed):
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         shutil.copy(mixed / "empty.mcap", tmp_path / folder)
-    assert len(named([str(tmp_path)])) == 2
+    assert len(name_logs([str(tmp_path)])) == 2
 
 
 @pytest.mark.parametrize(("logs", "shard", "text"), [(["none*"], (1, 1), "no such"), (["."], (3, 2), "runs from 1")])
 def test_share_refuses_no_logs_and_impossible_shards(tmp_path, logs, shard, text):
     with pytest.raises((LogError, UsageError), match=text):
-        share(named(logs), shard)
+        select_shard(name_logs(logs), shard)
 
 
 @pytest.mark.parametrize(
@@ -266,7 +266,7 @@ def test_pool_has_at_most_one_worker_per_log(tmp_path, monkeypatch, robot, run_c
     from bodylog.batch import local
 
     asked = []
-    monkeypatch.setattr(local, "run", lambda jobs, workers, *_: asked.append((len(jobs), workers)) or [])
+    monkeypatch.setattr(local, "run_on_this_machine", lambda jobs, workers, *_: asked.append((len(jobs), workers)) or [])
     logs = robot / "reach.mcap", robot / "explore.mcap"
     run_cli("batch", *logs, "-o", tmp_path, "--body", robot / "body.npz", "--jobs", 64)
     assert asked == [(2, 2)]

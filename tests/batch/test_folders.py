@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from bodylog.batch import folders, jobs, resume
-from bodylog.batch.jobs import KEYS, Job, find, named
+from bodylog.batch.jobs import KEYS, Job, find_logs, name_logs
 from bodylog.batch.results import Journal
 from bodylog.errors import UsageError
 from bodylog.settings import Settings
@@ -89,13 +89,13 @@ def test_results_of_earlier_versions_are_resumed_and_repaired(tmp_path, run_cli,
     del row["how"]
     (result / "row.json").write_text(json.dumps(row, sort_keys=True))
     kept = (result / "annotated.mcap").stat().st_mtime_ns
-    assert list(find(str(tmp_path / "out"))) == []
+    assert list(find_logs(str(tmp_path / "out"))) == []
     assert run_cli(*typed, out) == 0
     assert _tree(out) == whole and (result / "annotated.mcap").stat().st_mtime_ns == kept
     run = _rosbag2(tmp_path / "runs" / "run1")
     for name in (".lock", "row.json", "annotated.mcap", "report.html"):
         (run / name).touch()
-    assert list(find(str(tmp_path / "runs"))) == [str(run)]
+    assert list(find_logs(str(tmp_path / "runs"))) == [str(run)]
 
 
 def test_logs_in_a_folder_with_results_are_still_found(tmp_path, run_cli, robot):
@@ -105,13 +105,13 @@ def test_logs_in_a_folder_with_results_are_still_found(tmp_path, run_cli, robot)
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "reach.mcap").mkdir()
     assert run_cli("batch", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path) == 0
-    assert named([str(tmp_path)]) == {"b.mcap": str(tmp_path / "later" / "b.mcap")}
+    assert name_logs([str(tmp_path)]) == {"b.mcap": str(tmp_path / "later" / "b.mcap")}
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
 def test_names_equal_on_some_file_systems_get_different_folders():
     logs = {"a/Run.mcap": "Run.mcap", "b/run.MCAP": "run.MCAP", "c/x.mcap": "x.mcap", "d": "junit.xml", "e": "y" * 250}
-    found = folders.named(logs)
+    found = folders.name_folders(logs)
     assert found["c/x.mcap"] == "x.mcap" and len({name.casefold() for name in found.values()}) == 5
     assert "junit.xml" not in found.values() and max(map(len, found.values())) < 255
 
@@ -170,7 +170,7 @@ def _names(out):
 
 
 def test_partial_row_of_a_killed_shard_is_removed(tmp_path):
-    folders.mark(tmp_path, folders.BATCH)
+    folders.mark_folder(tmp_path, folders.BATCH)
     three = [Job(name, name, tmp_path / name, tmp_path, Settings(), (), False, "how") for name in "abc"]
     empty = {"log": "a", "status": "passed", "exit_code": 0, "outputs": {}, "scores": {}, "used": {}, "health": {}}
     empty |= {"verdict": [], "headline": {}, "faults": [], "findings": []}
@@ -181,8 +181,8 @@ def test_partial_row_of_a_killed_shard_is_removed(tmp_path):
     journal.add(rows["a"])
     with (tmp_path / "results.jsonl").open("a") as stream:
         stream.write('{"name": "c", "outp')
-    folders.mark(three[2].folder, folders.RESULT)
-    resume.leave(three[2], rows["c"])
+    folders.mark_folder(three[2].folder, folders.RESULT)
+    resume.write_row(three[2], rows["c"])
     own["b"] = rows["b"]
     journal.add(rows["b"])
     assert _names(tmp_path) == ["a", "b", "c"]
@@ -196,37 +196,37 @@ def test_endless_search_is_rejected(tmp_path, monkeypatch):
     limit = sys.getrecursionlimit()
     sys.setrecursionlimit(350)
     try:
-        assert list(find(str(tmp_path))) == [str(deep / "a.mcap")]
+        assert list(find_logs(str(tmp_path))) == [str(deep / "a.mcap")]
     finally:
         sys.setrecursionlimit(limit)
     (tmp_path / "below" / "1/2/3/4/5/6/7/8/9/10").mkdir(parents=True)
     (tmp_path / "below" / "a.mcap").touch()
     with at_most(calls=100_000):
-        assert list(find(f"{tmp_path}/below/{'**/' * 12}a.mca?")) == [str(tmp_path / "below" / "a.mcap")]
+        assert list(find_logs(f"{tmp_path}/below/{'**/' * 12}a.mca?")) == [str(tmp_path / "below" / "a.mcap")]
     with pytest.raises(UsageError, match="goes back"):
-        list(find(f"{tmp_path}/*/../*/../a.mcap"))
+        list(find_logs(f"{tmp_path}/*/../*/../a.mcap"))
     monkeypatch.setattr(jobs, "MOST", 10)
     for given in (str(tmp_path), f"{tmp_path}/**"):
         with pytest.raises(UsageError, match="more than 10"):
-            list(find(given))
+            list(find_logs(given))
 
 
 def test_database_among_other_logs_is_one_log_of_a_folder(tmp_path):
     for name in ("one.db3", "two.mcap", "three.bag"):
         (tmp_path / name).write_bytes(b"log")
-    assert list(find(str(tmp_path))) == [str(tmp_path / name) for name in ("one.db3", "three.bag", "two.mcap")]
+    assert list(find_logs(str(tmp_path))) == [str(tmp_path / name) for name in ("one.db3", "three.bag", "two.mcap")]
     (tmp_path / "two.mcap").unlink()
     (tmp_path / "three.bag").unlink()
-    assert list(find(str(tmp_path))) == [str(tmp_path)]
+    assert list(find_logs(str(tmp_path))) == [str(tmp_path)]
 
 
 def test_logs_in_a_folder_are_found_whatever_the_case_of_their_suffix(tmp_path):
     for name in ("a.mcap", "B.MCAP", "c.Bag", "notes.TXT"):
         (tmp_path / name).touch()
-    assert [log.rpartition("/")[2] for log in find(str(tmp_path))] == ["B.MCAP", "a.mcap", "c.Bag"]
+    assert [log.rpartition("/")[2] for log in find_logs(str(tmp_path))] == ["B.MCAP", "a.mcap", "c.Bag"]
 
 
 def test_a_log_in_capitals_is_no_part_of_the_database_beside_it(tmp_path):
     for name in ("one.db3", "TWO.MCAP"):
         (tmp_path / name).write_bytes(b"log")
-    assert sorted(find(str(tmp_path))) == [str(tmp_path / name) for name in ("TWO.MCAP", "one.db3")]
+    assert sorted(find_logs(str(tmp_path))) == [str(tmp_path / name) for name in ("TWO.MCAP", "one.db3")]

@@ -1,6 +1,6 @@
 import pytest
 
-from bodylog.batch.manifest import load
+from bodylog.batch.manifest import load_manifest
 from bodylog.errors import ConfigError
 from bodylog.settings import Settings
 
@@ -26,7 +26,7 @@ def _manifest(tmp_path, text):
 
 
 def test_manifest_has_a_group_per_method_with_relative_paths(tmp_path):
-    laplace, smoother, other = load(_manifest(tmp_path, TWO), Settings())
+    laplace, smoother, other = load_manifest(_manifest(tmp_path, TWO), Settings())
     assert (laplace.name, smoother.name, other.name) == ("left_arm-laplace", "left_arm-smoother", "group2")
     assert smoother.settings.estimate.method == "smoother" and smoother.settings.skin.threshold == 0.5
     assert laplace.train == (tmp_path / "explore.bag",) and laplace.logs == (str(tmp_path / "runs/*.mcap"),)
@@ -57,7 +57,7 @@ def test_manifest_has_a_group_per_method_with_relative_paths(tmp_path):
 )
 def test_unsound_manifest_is_rejected(tmp_path, content, text):
     with pytest.raises(ConfigError, match=text):
-        load(_manifest(tmp_path, content), Settings())
+        load_manifest(_manifest(tmp_path, content), Settings())
 
 
 def test_groups_have_separate_folders(tmp_path, robot, run_cli):
@@ -74,5 +74,5 @@ methods = ["laplace", "kalman"]
 
 
 def test_manifest_keeps_urls(tmp_path):
-    (group,) = load(_manifest(tmp_path, "[[group]]\nlogs = ['s3://bucket/a.mcap']"), Settings())
+    (group,) = load_manifest(_manifest(tmp_path, "[[group]]\nlogs = ['s3://bucket/a.mcap']"), Settings())
     assert group.logs == ("s3://bucket/a.mcap",)

@@ -37,26 +37,26 @@ def test_batch_refuses_a_folder_of_other_logs(two, robot, run_cli, capsys):
 
 
 def test_claim_refuses_another_log_of_the_same_name(tmp_path):
-    folders.mark(tmp_path, folders.BATCH)
+    folders.mark_folder(tmp_path, folders.BATCH)
     log, other = tmp_path / "x" / "run.mcap", tmp_path / "y" / "run.mcap"
     for path in (log, other):
         path.parent.mkdir()
         path.touch()
-    folders.claim(tmp_path, {"run.mcap": str(log)})
-    folders.claim(tmp_path, {"run.mcap": str(log)})
+    folders.claim_folder(tmp_path, {"run.mcap": str(log)})
+    folders.claim_folder(tmp_path, {"run.mcap": str(log)})
     with pytest.raises(UsageError, match="it holds the results of 1 logs that this batch does not name"):
-        folders.claim(tmp_path, {"run.mcap": str(other)})
+        folders.claim_folder(tmp_path, {"run.mcap": str(other)})
     log.rename(tmp_path / "moved.mcap")
-    folders.claim(tmp_path, {"run.mcap": str(other)})
+    folders.claim_folder(tmp_path, {"run.mcap": str(other)})
 
 
 def test_journal_leaves_the_rows_to_a_batch_of_more_logs(tmp_path):
-    folders.mark(tmp_path, folders.BATCH)
+    folders.mark_folder(tmp_path, folders.BATCH)
     one = Job("a", "a", tmp_path / "a", tmp_path, Settings(), (), False, "how")
-    folders.claim(tmp_path, {"a": "a"})
+    folders.claim_folder(tmp_path, {"a": "a"})
     journal = Journal(tmp_path, [one], frozenset("a"), {})
     (tmp_path / "results.jsonl").write_text('{"name": "b"}\n')
-    folders.claim(tmp_path, {"a": "a", "b": "b"})
+    folders.claim_folder(tmp_path, {"a": "a", "b": "b"})
     journal.add({"name": "a"})
     journal.finish()
     assert _names(tmp_path) == ["b"]
@@ -66,7 +66,7 @@ def test_journal_leaves_the_rows_to_a_batch_of_more_logs(tmp_path):
 def test_finished_ignores_a_row_that_is_none(tmp_path, text):
     job = Job("a", "a", tmp_path, tmp_path, Settings(), (), True, "how")
     (tmp_path / folders.ROW).write_text(text)
-    assert resume.finished(job) is None and resume.left(job) is None
+    assert resume.read_finished_row(job) is None and resume.read_valid_row(job) is None
 
 
 def test_finished_ignores_a_row_whose_values_are_of_other_kinds(tmp_path, robot, run_cli):

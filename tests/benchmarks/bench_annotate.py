@@ -16,9 +16,9 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
-from bodylog.annotating.annotate import annotate
+from bodylog.annotating.annotate import annotate_log
 from bodylog.annotating.messages import from_estimate, from_features
-from bodylog.io.atomic_files import sync
+from bodylog.io.atomic_files import sync_to_disk
 from bodylog.logs.decode.ros1_to_cdr import known_definition
 from bodylog.logs.encode import cdr
 from bodylog.types import Array, Estimate, Features, Outgoing, Series
@@ -33,19 +33,19 @@ _JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 _CHILD = """
 import re, sys
 from pathlib import Path
-from bodylog.annotating.annotate import annotate
-from bodylog.recording.tidy import ingest
-from bodylog.recording.recording import read
+from bodylog.annotating.annotate import annotate_log
+from bodylog.recording.tidy import write_tidy_log
+from bodylog.recording.recording import read_recording
 from bodylog.settings import Settings
 from tests.benchmarks.bench_annotate import estimate
 what, log, out = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
 if what == "ingest":
-    ingest(log, out, Settings())
+    write_tidy_log(log, out, Settings())
 elif what == "read":
-    frames = read(log, Settings()).frames
+    frames = read_recording(log, Settings()).frames
     assert sum(frame.source_ns > 0 for frame in frames())
 else:
-    annotate(log, estimate(10.0), {}, out)
+    annotate_log(log, estimate(10.0), {}, out)
 # Not ru_maxrss: a child inherits that from the process that started it.
 print(int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024)
 """
@@ -62,7 +62,7 @@ def main(megabytes: int = 300) -> None:
         cases = {
             "plain copy": lambda: shutil.copyfile(log, out),
             "plain copy, synced": lambda: _synced_copy(log, out),
-            "bodylog annotate (synced, re-opened, counted)": lambda: annotate(log, outgoing, {}, out),
+            "bodylog annotate (synced, re-opened, counted)": lambda: annotate_log(log, outgoing, {}, out),
             "mcap reader -> writer, synced": lambda: _by_mcap(log, out),
         }
         # Each removes what it wrote, so that the next finds memory of this machine's own to put its pages in.
@@ -97,7 +97,7 @@ def record(path: Path, megabytes: int, chunked: bool = True) -> float:
 
 def _image(stamp: int, picture: Array) -> bytes:
     fields: list[cdr.Field] = [
-        *cdr.header(np.array([stamp]), "camera"),
+        *cdr.cdr_header_field(np.array([stamp]), "camera"),
         ("uint32", _HEIGHT),
         ("uint32", _WIDTH),
         ("string", "rgb8"),
@@ -105,7 +105,7 @@ def _image(stamp: int, picture: Array) -> bytes:
         ("uint32", 3 * _WIDTH),
         ("uint8[]", picture.reshape(1, -1)),
     ]
-    return cdr.serialise(1, fields).data.tobytes()
+    return cdr.serialise_messages(1, fields).data.tobytes()
 
 
 def estimate(seconds: float) -> list[Outgoing]:
@@ -142,7 +142,7 @@ def _and_remove(case: Callable[[], object], out: Path) -> None:
 
 def _synced_copy(log: Path, out: Path) -> None:
     shutil.copyfile(log, out)
-    sync(out)
+    sync_to_disk(out)
 
 
 def _by_mcap(log: Path, out: Path) -> None:
@@ -157,7 +157,7 @@ def _by_mcap(log: Path, out: Path) -> None:
             number = channels[channel.id]
             writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
         writer.finish()
-    sync(out)
+    sync_to_disk(out)
 
 
 def _memory(folder: Path, sizes: tuple[int, int]) -> tuple[float, str]:

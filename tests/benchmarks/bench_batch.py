@@ -15,7 +15,7 @@ from pathlib import Path
 import bodylog_cli
 
 from bodylog import pipeline, views
-from bodylog.batch import Group, Plan, batch
+from bodylog.batch import Group, BatchPlan, run_batch
 from bodylog.perception.colours.colour_tracker import THREADS
 from bodylog.settings import Settings
 
@@ -49,7 +49,7 @@ def _body(work: Path, size: str) -> None:
 
 def _quiet(*typed: object) -> None:
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-        assert bodylog_cli.run([str(part) for part in typed]) == 0
+        assert bodylog_cli.run_command([str(part) for part in typed]) == 0
 
 
 def _copies(work: Path, source: str, count: int) -> Path:
@@ -91,14 +91,14 @@ def _once(work: Path, log: str) -> None:
 def _alone(work: Path, log: str) -> None:
     THREADS.set(1)
     pipeline.estimate(work / f"{log}.mcap", work / "body.npz", work / "alone.mcap", Settings())
-    views.report(work / "alone.mcap", work / "alone.html", Settings())
+    views.write_report(work / "alone.mcap", work / "alone.html", Settings())
 
 
 def _batch(work: Path, logs: Path, workers: int, scheduler: str | None = None) -> float:
     out = work / "out"
     started = time.perf_counter()
     group = Group("", (str(logs),), Settings(), work / "body.npz")
-    rows = batch(Plan((group,), out, workers=workers, scheduler=scheduler))
+    rows = run_batch(BatchPlan((group,), out, workers=workers, scheduler=scheduler))
     took = time.perf_counter() - started
     assert all(row["exit_code"] == 0 for row in rows)
     shutil.rmtree(out)

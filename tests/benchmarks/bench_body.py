@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bodylog.body.gp.fit import CANDIDATES, Samples, build, fitted, samples
-from bodylog.body.gp.marginal_likelihood import FLAT, ROTATION, evidence, independent
-from bodylog.body.gp.model import GP, shortened
+from bodylog.body.gp.fit import CANDIDATES, Samples, build_gp, fit_kernels, samples_without_noise
+from bodylog.body.gp.marginal_likelihood import FLAT, ROTATION, log_marginal_likelihood, independent_noise
+from bodylog.body.gp.model import GP, drop_negligible_rows
 from bodylog.types import Array
 
 from .goals import unmeasured
@@ -36,7 +36,7 @@ def drawn(count: int, seed: int = 0) -> Samples:
     """Samples of the arm at random angles, with pixel noise."""
     draw = np.random.default_rng(seed)
     x = draw.uniform(_LOW, _HIGH, (count, 3))
-    return samples(x, project(x) + draw.normal(0, _NOISE_PX, (count, 2)))
+    return samples_without_noise(x, project(x) + draw.normal(0, _NOISE_PX, (count, 2)))
 
 
 def error(gp: GP) -> float:
@@ -48,7 +48,7 @@ def error(gp: GP) -> float:
 def exact(data: Samples) -> GP:
     """The exact GP, hyperparameters by evidence on all the samples."""
     count = len(data.x)
-    return build(data, fitted(data, FLAT, True, 0, count), ("u", "v"), "px", count)
+    return build_gp(data, fit_kernels(data, FLAT, True, 0, count), ("u", "v"), "px", count)
 
 
 def peer(data: Samples, gp: GP | None = None, restarts: int = 0) -> object | None:
@@ -79,9 +79,9 @@ def agree(count: int) -> None:
     other = peer(data, gp)
     x = np.random.default_rng(5).uniform(_LOW, _HIGH, (500, 3))
     theta = np.log(np.concatenate([gp.amplitude, gp.scales[0], gp.noise[:1]]))
-    ours = evidence(theta, data.x, data.y, independent(np.zeros(count)))[0]
+    ours = log_marginal_likelihood(theta, data.x, data.y, independent_noise(np.zeros(count)))[0]
     value, std = other.predict(x, return_std=True)
-    mean, _, spread = shortened(gp).predict(x)
+    mean, _, spread = drop_negligible_rows(gp).predict(x)
     apart = abs(ours / other.log_marginal_likelihood_value_ - 1)
     # its standard deviation is that of a reading: the noise is in it
     wide, off = np.abs(np.sqrt(spread + gp.noise) / std - 1).max(), np.abs(value + gp.mean - mean).max()
@@ -114,7 +114,7 @@ def fits(count: int) -> None:
 def single(count: int) -> None:
     """Mean, Jacobian and variance at one point; the peer by central differences, its seven points in one call."""
     data = drawn(count)
-    gp, rounds = shortened(exact(data)), 300
+    gp, rounds = drop_negligible_rows(exact(data)), 300
     x, steps = np.array([0.1, 0.2, 0.6]), np.vstack([np.zeros((1, 3)), 1e-5 * np.eye(3), -1e-5 * np.eye(3)])
 
     def repeat(once: Callable[[], object]) -> Callable[[], object]:
@@ -164,7 +164,7 @@ def _point(count: int) -> Point:
         gp = exact(data)
         seconds, px = time.process_time() - started, error(gp)
     started = time.process_time()
-    gp = build(data, fitted(data, ROTATION, True, 0), ("u", "v"), "px")
+    gp = build_gp(data, fit_kernels(data, ROTATION, True, 0), ("u", "v"), "px")
     return Point(count, px, seconds, len(gp.centres), error(gp), time.process_time() - started)
 
 
@@ -200,11 +200,11 @@ def large() -> None:
     """100,000 samples on inducing points against the exact posterior of 3,000 of them."""
     data = drawn(100_000)
     started = time.perf_counter()
-    found = fitted(data, ROTATION, True, 0)
-    gp = build(data, found, ("u", "v"), "px")
+    found = fit_kernels(data, ROTATION, True, 0)
+    gp = build_gp(data, found, ("u", "v"), "px")
     seconds = time.perf_counter() - started
     part = data.rows(np.arange(3000))
-    few = build(part, fitted(part, ROTATION, True, 0), ("u", "v"), "px", 3000)
+    few = build_gp(part, fit_kernels(part, ROTATION, True, 0), ("u", "v"), "px", 3000)
     print(f"\nn = 100,000: {seconds:.1f} s, {len(gp.centres)} inducing points, error {error(gp):.4f} px", end="")
     print(f" (exact posterior of 3,000: {error(few):.4f} px)")
 

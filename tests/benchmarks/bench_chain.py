@@ -22,7 +22,7 @@ from mcap.writer import CompressionType
 
 from bodylog import pipeline
 from bodylog.body import storage as models
-from bodylog.io.atomic_files import sha256, sync
+from bodylog.io.atomic_files import hash_files, sync_to_disk
 from bodylog.settings import Settings
 from bodylog.types import Array
 from tests.benchmarks import chain_log, chain_peer
@@ -65,7 +65,7 @@ def whole(work: Path, kind: str) -> None:
         "limit: copying the log, synced": lambda: _synced_copy(log, out),
     }
     cases = {name: partial(_and_remove, case, out) for name, case in cases.items()}
-    cases["limit: digesting the log"] = partial(sha256, log)
+    cases["limit: digesting the log"] = partial(hash_files, log)
     if kind == "jpeg":
         jpegs = chain_log.jpegs(log)
         cases[f"limit: decoding the JPEGs alone, {THREADS} threads"] = partial(_decode, jpegs, _opencv)
@@ -90,9 +90,9 @@ def whole(work: Path, kind: str) -> None:
 
 def _peer(log: Path, body: Path, out: Path, packed: CompressionType, synced: list[float]) -> None:
     """The script, and how long (s) its file takes to the disk."""
-    chain_peer.run(log, models.load(body), out, packed)
+    chain_peer.run(log, models.load_body(body), out, packed)
     started = time.perf_counter()
-    sync(out)
+    sync_to_disk(out)
     synced.append(time.perf_counter() - started)
 
 
@@ -101,7 +101,7 @@ def command(work: Path) -> None:
     log, body, out = work / "tracks.mcap", work / "body.npz", work / "out.mcap"
     if not log.exists():
         chain_log.record_features(log, 600.0, 100.0)
-    learned, settings = models.load(body), Settings()
+    learned, settings = models.load_body(body), Settings()
     _, features = pipeline.observe(log, settings)
     cases: dict[str, Callable[[], object]] = {
         "the loop": partial(pipeline.infer, features, learned, settings),

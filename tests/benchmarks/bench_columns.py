@@ -9,9 +9,9 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from bodylog.logs.decode.columns import columns
+from bodylog.logs.decode.columns import read_topic_columns
 from bodylog.logs.formats import open_log
-from bodylog.recording.recording import read
+from bodylog.recording.recording import read_recording
 from bodylog.settings import Settings
 from bodylog.types import Array
 
@@ -47,7 +47,7 @@ def main() -> None:
             {
                 "decompressing the chunks alone": lambda: _decompress(path),
                 "bodylog columns": lambda: _ours(path),
-                "bodylog whole recording": lambda: read(path, Settings()),
+                "bodylog whole recording": lambda: read_recording(path, Settings()),
                 "rosbags decoded": lambda: _rosbags(path),
                 "mcap_ros2 decoded": lambda: _mcap_ros2(path),
             },
@@ -105,7 +105,7 @@ def _decompress(path: Path) -> int:
 
 def _ours(path: Path) -> Array:
     with open_log(path) as log:
-        found = columns(log, log.topics[0], ("header.stamp", "name", "position"))
+        found = read_topic_columns(log, log.topics[0], ("header.stamp", "name", "position"))
     assert (len(found.log_ns), found.fast, found.fallback) == (_MESSAGES, _MESSAGES, 0)
     return found.column("position")
 

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.formats import open_log, payload_views
 from bodylog.logs.mcap import opcodes as op
 from bodylog.logs.mcap.chunks import chunk_head
 from bodylog.logs.mcap.records import HEAD, MAGIC
 from bodylog.logs.storage.compression import Buffer
-from bodylog.logs.storage.mmapped import mapped
+from bodylog.logs.storage.mmapped import map_file
 from tests.benchmarks.goals import at_least, at_most
 from tests.benchmarks.timing import side_by_side
 
@@ -83,7 +83,7 @@ def write_db3(path: Path) -> None:
 
 def unpack_only(path: Path) -> int:
     """The floor: unpack every chunk and check its CRC, nothing else."""
-    data, buffer, at, total = mapped(path), Buffer(), len(MAGIC), 0
+    data, buffer, at, total = map_file(path), Buffer(), len(MAGIC), 0
     while at < len(data) - len(MAGIC):
         opcode, length = HEAD.unpack_from(data, at)
         if opcode == op.CHUNK:
@@ -102,7 +102,7 @@ def by_message(path: Path) -> int:
     count = 0
     with open_log(path) as log:
         for batch in log.batches():
-            for _time, _payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+            for _time, _payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
                 count += 1
     return count
 

@@ -12,16 +12,16 @@ import numpy as np
 
 from bodylog import body
 from bodylog.body_model import BodyModel
-from bodylog.estimation import estimate
-from bodylog.estimation.live.estimator import Estimator
-from bodylog.settings import Estimation, Settings
+from bodylog.estimation import estimate_from_features
+from bodylog.estimation.live.estimator import LiveEstimator
+from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Features, Series
 from tests.benchmarks.goals import at_least, at_most, unmeasured
 from tests.benchmarks.timing import side_by_side
 from tests.estimation.conftest import World, draw
 
 MINUTES = 10
-GIVEN = Estimation(precision="model", bias="off")
+GIVEN = EstimationSettings(precision="model", bias="off")
 _BESIDE_FILTERPY = "`laplace`, precisions learned, times faster than filterpy and scikit-learn"
 PEERS = ("filterpy EKF, scikit-learn means", "filterpy EKF, scikit-learn means and variances")
 
@@ -29,7 +29,7 @@ PEERS = ("filterpy EKF, scikit-learn means", "filterpy EKF, scikit-learn means a
 def learned(samples: int) -> BodyModel:
     """A body learned from an exploration with about so many pictures."""
     explored = draw(1, duration=samples / 8, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
-    model = body.learn([explored.features], Settings(), {}).model
+    model = body.learn_body([explored.features], Settings(), {}).model
     # noise of the logs below, whose encoders are louder than the exploration's
     noise_model = replace(model.noise, encoder=(0.01**2,) * 3, senses={"effector": (0.3**2,) * 2})
     return replace(model, noise=noise_model)
@@ -42,11 +42,11 @@ def whole_log(model: BodyModel) -> dict[str, float]:
     sense, where = model.senses["effector"], np.repeat(world.truth.values[:1], len(track.t), axis=0)
     where = where[:, [("pan", "lift", "elbow").index(name) for name in model.joints]]
     cases: dict[str, Callable[[], object]] = {
-        "laplace": partial(estimate, world.features, model, Estimation()),
-        "smoother": partial(estimate, world.features, model, Estimation(method="smoother")),
-        "laplace, the body's precisions": partial(estimate, world.features, model, GIVEN),
+        "laplace": partial(estimate_from_features, world.features, model, EstimationSettings()),
+        "smoother": partial(estimate_from_features, world.features, model, EstimationSettings(method="smoother")),
+        "laplace, the body's precisions": partial(estimate_from_features, world.features, model, GIVEN),
         "limit: the model's predictions alone, once": partial(sense.predict, where),
-        "kalman": partial(estimate, world.features, model, Estimation(method="kalman")),
+        "kalman": partial(estimate_from_features, world.features, model, EstimationSettings(method="kalman")),
     }
     medians = side_by_side(f"{MINUTES} minutes, {steps} steps, {len(track.t)} pictures", cases, repeats=3, cpu=True)
     for name in ("laplace", "smoother"):
@@ -61,9 +61,9 @@ def fast_encoders(model: BodyModel) -> None:
     """A minute with encoders at 500 Hz, estimates at 100 Hz and pictures at 30 Hz: milliseconds, and µs per reading."""
     world = draw(7, duration=60.0, encoder_hz=500.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
     cases: dict[str, Callable[[], object]] = {
-        "laplace": partial(estimate, world.features, model, Estimation()),
-        "smoother": partial(estimate, world.features, model, Estimation(method="smoother")),
-        "laplace, the body's precisions": partial(estimate, world.features, model, GIVEN),
+        "laplace": partial(estimate_from_features, world.features, model, EstimationSettings()),
+        "smoother": partial(estimate_from_features, world.features, model, EstimationSettings(method="smoother")),
+        "laplace, the body's precisions": partial(estimate_from_features, world.features, model, GIVEN),
     }
     readings = len(world.features.joints.t)
     took = side_by_side(f"60 s of encoders at 500 Hz, {readings} readings", cases, repeats=3, cpu=True)
@@ -83,8 +83,8 @@ def beside_filterpy(model: BodyModel, ours: dict[str, float]) -> None:
         + [(t, 1, k) for k, t in enumerate(world.features.tracks["effector"].t)]
     )
     cases: dict[str, Callable[[], object]] = {
-        "laplace": partial(estimate, world.features, model, GIVEN),
-        "laplace, precisions learned": partial(estimate, world.features, model, Estimation()),
+        "laplace": partial(estimate_from_features, world.features, model, GIVEN),
+        "laplace, precisions learned": partial(estimate_from_features, world.features, model, EstimationSettings()),
         "Estimator.step": partial(stream, world, model, events, order),
     }
     if importlib.util.find_spec("filterpy") and importlib.util.find_spec("sklearn"):
@@ -104,7 +104,7 @@ def beside_filterpy(model: BodyModel, ours: dict[str, float]) -> None:
 
 def stream(world: World, model: BodyModel, events: list[tuple[float, int, int]], order: list[int]) -> None:
     """Our filter, one instant at a time."""
-    live, joints = Estimator(model), world.features.joints.values[:, order]
+    live, joints = LiveEstimator(model), world.features.joints.values[:, order]
     for t, seen, k in events:
         if seen:
             live.step(t, effector=world.features.tracks["effector"].values[k])
@@ -161,7 +161,7 @@ def growth() -> dict[str, dict[int, float]]:
         costs["N"][tracks] = per_step(world.features, model, tracks)
     for joints in range(2, 8):
         explored, replayed = chain(joints, 5, 12.5, 8.0, 50.0), chain(joints, 6, 60.0, 30.0, 100.0)
-        costs["M"][joints] = per_step(replayed, body.learn([explored], Settings(), {}).model, 1)
+        costs["M"][joints] = per_step(replayed, body.learn_body([explored], Settings(), {}).model, 1)
     print("\nlaplace, µs per step of a 60 s log (body's precisions)")
     for name, by_size in costs.items():
         text = ", ".join(f"{size}: {cost:.1f}" for size, cost in by_size.items())
@@ -198,7 +198,7 @@ def per_step(given: Features, model: BodyModel, tracks: int) -> float:
     times = []
     for _ in range(3):
         started = time.perf_counter()
-        found = estimate(features, several, GIVEN)
+        found = estimate_from_features(features, several, GIVEN)
         times.append(time.perf_counter() - started)
     return min(times) / len(found.joints.t) * 1e6
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from bodylog.perception.colours import colour_tracker, hsv_ranges
-from bodylog.types import Array, Frame
+from bodylog.types import Array, LazyImage
 from tests.benchmarks.timing import side_by_side
 from tests.perception import scenes
 
@@ -22,7 +22,7 @@ def main() -> None:
     """Print times, ratios and errors."""
     pictures, truth = _pictures()
     payloads = [scenes.jpeg(picture) for picture in pictures]
-    wanted = [hsv_ranges.resolve(name, key) for key, name in COLOURS.items()]
+    wanted = [hsv_ranges.resolve_colour(name, key) for key, name in COLOURS.items()]
     side_by_side(
         f"{COUNT} JPEG pictures, ×1 is cv2.imdecode alone",
         {
@@ -75,13 +75,13 @@ def _whole(picture: Array, _: int) -> Array:
     return picture
 
 
-def _frames(items: Sequence[Array], decode: Callable[[Array, int], Array]) -> Iterator[Frame]:
-    return (Frame(index / 30.0, index, partial(decode, item), shrinks=True) for index, item in enumerate(items))
+def _frames(items: Sequence[Array], decode: Callable[[Array, int], Array]) -> Iterator[LazyImage]:
+    return (LazyImage(index / 30.0, index, partial(decode, item), shrinks=True) for index, item in enumerate(items))
 
 
 def _track(items: Sequence[Array], decode: Callable[[Array, int], Array], fast: bool = False) -> Array:
     """Where each colour was seen: (COUNT, 2, 2) px."""
-    tracks, _, _ = colour_tracker.track(lambda: _frames(items, decode), COLOURS, fast=fast)
+    tracks, _, _ = colour_tracker.track_colours(lambda: _frames(items, decode), COLOURS, fast=fast)
     return np.stack([track.values for track in tracks.values()], axis=1)
 
 
@@ -94,12 +94,12 @@ def _run(items: Sequence[Array], task: Callable[[Array], object]) -> None:
             pass
 
 
-def _plain(picture: Array, wanted: Sequence[hsv_ranges.Range]) -> list[Array]:
+def _plain(picture: Array, wanted: Sequence[hsv_ranges.HsvRange]) -> list[Array]:
     """The centroid of each colour's largest component, the textbook way."""
     hsv = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)
     found = []
     for one in wanted:
-        _, _, stats, centroids = cv2.connectedComponentsWithStats(hsv_ranges.mask(hsv, one))
+        _, _, stats, centroids = cv2.connectedComponentsWithStats(hsv_ranges.mask_of_range(hsv, one))
         found.append(centroids[1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))])
     return found
 

@@ -6,7 +6,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from bodylog.sim import record
+from bodylog.sim import record_scenario
 from tests.benchmarks.goals import at_most
 from tests.benchmarks.timing import side_by_side
 
@@ -17,7 +17,7 @@ def main() -> None:
     """CPU seconds of fresh processes, bytecode and files in the page cache, as for whoever types a second command."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "small.mcap"
-        record("reach", log, duration=10.0, size=(320, 240))
+        record_scenario("reach", log, duration=10.0, size=(320, 240))
         shell = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         shell |= {"PYTHONPYCACHEPREFIX": str(Path(folder) / "bytecode"), "OPENBLAS_NUM_THREADS": "1"}
         read = f"import bodylog.logs as logs\nwith logs.open({str(log)!r}) as log: log['/joint_states'].position"

@@ -18,8 +18,8 @@ from scipy.optimize import least_squares
 
 from bodylog import calibration, pipeline
 from bodylog.kinematics import urdf
-from bodylog.kinematics.chain import Chain, between
-from bodylog.kinematics.rotations import inverse, transform
+from bodylog.kinematics.chain import Chain, chain_between
+from bodylog.kinematics.rotations import invert_transform, make_transform
 from bodylog.settings import Settings
 from bodylog.sources import CharucoSource
 from bodylog.types import Array
@@ -89,8 +89,8 @@ def adjust(split: Split) -> Solution:
     data = split.learn
 
     def unpacked(x: Array) -> Solution:
-        camera = first.camera @ transform(cv2.Rodrigues(x[3:6])[0], x[:3])
-        marker = first.marker @ transform(cv2.Rodrigues(x[9:12])[0], x[6:9])
+        camera = first.camera @ make_transform(cv2.Rodrigues(x[3:6])[0], x[:3])
+        marker = first.marker @ make_transform(cv2.Rodrigues(x[9:12])[0], x[6:9])
         lens = first.lens * np.array([*np.exp(x[12:14]), 1, 1, 1, 1]) + np.array([0, 0, *(100.0 * x[14:16]), *x[16:18]])
         return Solution(camera, marker, lens, x[18:])
 
@@ -126,19 +126,19 @@ def hand_eye(method: str) -> Callable[[Split], Solution]:
         images = [data.image[k][seen[k]].astype(np.float32) for k in kept]
         flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
         _, matrix, distortion, turns, places = cv2.calibrateCamera(points, images, split.size, None, None, flags=flags)
-        boards = [transform(cv2.Rodrigues(w)[0], v[:, 0]) for w, v in zip(turns, places, strict=True)]
+        boards = [make_transform(cv2.Rodrigues(w)[0], v[:, 0]) for w, v in zip(turns, places, strict=True)]
         # the chain goes from the camera's link to the board's: OpenCV wants the camera's link in the board's
         arm = split.chain.at(data.q[kept])
-        hands = [inverse(transform(r, p)) for r, p in zip(arm.rotation, arm.place, strict=True)]
+        hands = [invert_transform(make_transform(r, p)) for r, p in zip(arm.rotation, arm.place, strict=True)]
         turn, place = cv2.calibrateHandEye(
             [one[:3, :3] for one in hands], [one[:3, 3] for one in hands],
             [one[:3, :3] for one in boards], [one[:3, 3] for one in boards],
             method=getattr(cv2, f"CALIB_HAND_EYE_{method}"),
         )  # fmt: skip
-        camera = transform(turn, place[:, 0])
+        camera = make_transform(turn, place[:, 0])
         placed = np.array([hand @ camera @ board for hand, board in zip(hands, boards, strict=True)])
         left, _, right = np.linalg.svd(placed[:, :3, :3].sum(axis=0))
-        marker = transform(left @ right, np.median(placed[:, :3, 3], axis=0))
+        marker = make_transform(left @ right, np.median(placed[:, :3, 3], axis=0))
         fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
         lens = np.array([fx, fy, cx, cy, *distortion.ravel()[:2]])
         return Solution(camera, marker, lens, np.zeros(data.q.shape[1]))
@@ -155,7 +155,7 @@ def ours(split: Split) -> Solution:
         for picture in split.table.parent.glob("*.[pj][np]g"):
             copy(picture, folder)
         pipeline.fit([log], Path(folder) / "body.npz", split.settings)
-        found = calibration.load(Path(folder) / "body.npz")
+        found = calibration.load_calibration(Path(folder) / "body.npz")
     lens = found.lenses[0]
     zeros = {one.joint: one.value for one in found.zeros if one.identifiable}
     joints = np.array([zeros.get(name, 0.0) for name in split.chain.joints])
@@ -186,8 +186,8 @@ def scatter_mm(split: Split, found: Solution) -> float:
     for row, image in enumerate(split.test.image):
         seen = np.isfinite(image[:, 0])
         _, turn, place = cv2.solvePnP(split.points[seen], image[seen], matrix, np.array([k1, k2, 0.0, 0.0]))
-        hand = inverse(transform(arm.rotation[row], arm.place[row]))
-        places.append((hand @ found.camera @ transform(cv2.Rodrigues(turn)[0], place[:, 0]))[:3, 3])
+        hand = invert_transform(make_transform(arm.rotation[row], arm.place[row]))
+        places.append((hand @ found.camera @ make_transform(cv2.Rodrigues(turn)[0], place[:, 0]))[:3, 3])
     return 1e3 * float(np.sqrt(np.mean(np.square(np.array(places) - np.mean(places, axis=0)).sum(axis=1))))
 
 
@@ -196,7 +196,7 @@ def board_split(table: Path, robot: Path, source: CharucoSource, every: int, lin
     settings = replace(Settings(), features={"board": source})
     settings = replace(settings, kinematics=replace(Settings().kinematics, urdf=str(robot)))
     _, features = pipeline.observe(table, settings)
-    chain = between(urdf.load(robot), *links)
+    chain = chain_between(urdf.load_urdf(robot), *links)
     names, points = features.boards["board"]
     columns = [features.joints.names.index(name) for name in chain.joints]
     there = [k for k, name in enumerate(names) if name in features.tracks]
@@ -231,7 +231,7 @@ def nao(folder: Path) -> Split:
     here = folder / "nao"
     settings = replace(Settings(), kinematics=replace(Settings().kinematics, urdf=str(here / "nao.urdf")))
     settings = replace(settings, fit=replace(settings.fit, without=("published",)))
-    chain = between(urdf.load(here / "nao.urdf"), "CameraBottom_optical_frame", "l_wrist")
+    chain = chain_between(urdf.load_urdf(here / "nao.urdf"), "CameraBottom_optical_frame", "l_wrist")
 
     def read(name: str) -> Sightings:
         _, features = pipeline.observe(here / name, settings)

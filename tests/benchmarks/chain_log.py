@@ -47,7 +47,7 @@ class Wide(Arm):
 def learn(path: Path) -> BodyModel:
     """Fit a body from 40 s of exploration, 320 pictures, and write it."""
     explored = draw(1, duration=40.0, camera_hz=8.0, encoder_hz=100.0, encoder_std=0.01, pixel_std=0.1, model=Wide())
-    learned = body.learn([explored.features], Settings(), {}).model
+    learned = body.learn_body([explored.features], Settings(), {}).model
     models.save(learned, path)
     return learned
 
@@ -92,12 +92,12 @@ def record_features(path: Path, seconds: float, encoder_hz: float) -> World:
     drawn = draw(3, seconds, encoder_hz, _CAMERA_HZ, 0.01, 0.3, Wide())
     features = drawn.features
     assert features.joints is not None
-    joints = replace(features.joints, source_ns=messages.stamps(features.joints.t, START_NS))
+    joints = replace(features.joints, source_ns=messages.stamps_ns(features.joints.t, START_NS))
     tracks = {
-        name: replace(track, source_ns=messages.stamps(track.t, START_NS)) for name, track in features.tracks.items()
+        name: replace(track, source_ns=messages.stamps_ns(track.t, START_NS)) for name, track in features.tracks.items()
     }
     outgoing = messages.from_features(replace(features, tracks=tracks, cameras={"": "/camera"}), START_NS)
-    annotate.write([messages.from_joints("/joint_states", joints, START_NS), *outgoing], {}, path)
+    annotate.write_annotations([messages.from_joints("/joint_states", joints, START_NS), *outgoing], {}, path)
     return drawn
 
 
@@ -106,7 +106,7 @@ def _joints(world: World) -> Iterator[Row]:
     found = world.features.joints
     assert found is not None
     values = np.hstack([found.values, np.tile([-1.2, 0.3, 0.0], (len(found.t), 1))])
-    ns = messages.stamps(found.t, START_NS)
+    ns = messages.stamps_ns(found.t, START_NS)
     joints = Series(found.t, values, (*found.names, *_STILL), "rad", ns)
     made = messages.from_joints("/joint_states", joints, START_NS, np.gradient(values, found.t, axis=0))
     return rows(made.topic, made.log_ns, made)
@@ -117,16 +117,16 @@ def _skin(seconds: float) -> Iterator[Row]:
     t = np.arange(0.001, seconds, 1 / _SKIN_HZ)
     values = np.abs(np.random.default_rng(4).normal(0.0, 0.02, (len(t), CELLS)))
     fields: list[CdrField] = [("uint32", 0), ("uint32", 0), ("float32[]", values)]
-    return rows("/skin", messages.stamps(t, START_NS), cdr.serialise(len(t), fields))
+    return rows("/skin", messages.stamps_ns(t, START_NS), cdr.serialise_messages(len(t), fields))
 
 
 def _poses(world: World) -> Iterator[Row]:
     """Another topic of a real log, which nobody needs here."""
     t = np.arange(0.002, world.truth.t[-1], 1 / _SKIN_HZ)
-    ns = messages.stamps(t, START_NS)
+    ns = messages.stamps_ns(t, START_NS)
     place = np.column_stack([np.sin(t), np.cos(t), 0 * t, 0 * t, 0 * t, 0 * t, 1 + 0 * t])
-    fields: list[CdrField] = [*cdr.header(ns, "base_link"), ("float64*", place)]
-    return rows("/truth/pose", ns, cdr.serialise(len(t), fields))
+    fields: list[CdrField] = [*cdr.cdr_header_field(ns, "base_link"), ("float64*", place)]
+    return rows("/truth/pose", ns, cdr.serialise_messages(len(t), fields))
 
 
 def _pictures(world: World, compress: bool) -> Iterator[Row]:
@@ -137,13 +137,13 @@ def _pictures(world: World, compress: bool) -> Iterator[Row]:
     for t, place in zip(track.t.tolist(), track.values.tolist(), strict=True):
         hand = (540.0 + 60.0 * np.cos(0.7 * t), 240.0 + 120.0 * np.sin(1.1 * t))
         discs = [scenes.Disc(place[0], place[1], 14.0), scenes.Disc(*hand, 18.0, scenes.RED)]
-        picture, ns = scenes.draw(wall, discs, rng), int(messages.stamps(np.array(t), START_NS))
+        picture, ns = scenes.draw(wall, discs, rng), int(messages.stamps_ns(np.array(t), START_NS))
         yield ns, "/camera", compressed(ns, scenes.jpeg(picture)) if compress else _raw(ns, picture)
 
 
 def _raw(ns: int, picture: Array) -> bytes:
     fields: list[CdrField] = [
-        *cdr.header(np.array([ns]), "camera"),
+        *cdr.cdr_header_field(np.array([ns]), "camera"),
         ("uint32", HEIGHT),
         ("uint32", WIDTH),
         ("string", "rgb8"),
@@ -151,14 +151,14 @@ def _raw(ns: int, picture: Array) -> bytes:
         ("uint32", 3 * WIDTH),
         ("uint8[]", picture[:, :, ::-1].reshape(1, -1)),
     ]
-    return cdr.serialise(1, fields).data.tobytes()
+    return cdr.serialise_messages(1, fields).data.tobytes()
 
 
 def compressed(ns: int, jpeg: Array) -> bytes:
     """A CompressedImage of the bytes of a JPEG."""
-    header = cdr.header(np.array([ns]), "camera")
+    header = cdr.cdr_header_field(np.array([ns]), "camera")
     fields: list[CdrField] = [*header, ("string", "jpeg"), ("uint8[]", jpeg.reshape(1, -1))]
-    return cdr.serialise(1, fields).data.tobytes()
+    return cdr.serialise_messages(1, fields).data.tobytes()
 
 
 def rows(topic: str, ns: Array, payloads: cdr.Payloads | Outgoing) -> Iterator[Row]:

@@ -12,7 +12,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 from mcap_ros2.decoder import DecoderFactory
 
 from bodylog.body_model import BodyModel
-from bodylog.logs.encode.schemas import definition
+from bodylog.logs.encode.schemas import ros2msg_definition
 from bodylog.perception.colours import hsv_ranges
 from bodylog.types import Array
 
@@ -86,7 +86,7 @@ class Output:
     def put(self, topic: str, kind: str, ns: int, **fields: Any) -> None:
         """One message of ours, with a header."""
         if topic not in self._made:
-            text = definition(kind)
+            text = ros2msg_definition(kind)
             channel = self.writer.register_channel(topic, "cdr", self.writer.register_schema(kind, "ros2msg", text))
             self._made[topic] = channel, serialize_dynamic(kind, text.decode())[kind]
         channel, encode = self._made[topic]
@@ -96,7 +96,7 @@ class Output:
 
 def run(log: Path, model: BodyModel, out: Path, compression: CompressionType) -> Array:
     """Replay a log in one pass and write it with the belief in it; the last angles (M,) rad."""
-    wanted = {"effector": hsv_ranges.resolve("green", "effector"), "hand": hsv_ranges.resolve("red", "hand")}
+    wanted = {"effector": hsv_ranges.resolve_colour("green", "effector"), "hand": hsv_ranges.resolve_colour("red", "hand")}
     belief, count = None, 0
     with log.open("rb") as source, out.open("wb") as target:
         output = Output(Writer(target, compression=compression))
@@ -129,7 +129,7 @@ def _put_belief(output: Output, ns: int, model: BodyModel, belief: Filter) -> No
     output.put("/script/joint_covariance", "bodylog_msgs/msg/Covariance", ns, names=names, data=covariance)
 
 
-def _look(output: Output, ns: int, reported: Any, wanted: dict[str, hsv_ranges.Range], belief: Filter) -> None:
+def _look(output: Output, ns: int, reported: Any, wanted: dict[str, hsv_ranges.HsvRange], belief: Filter) -> None:
     for name, place in find(_picture(reported), wanted).items():
         point = {"x": float(place[0]), "y": float(place[1]), "z": 0.0}
         output.put(f"/script/{name}", "geometry_msgs/msg/PointStamped", ns, point=point)
@@ -145,11 +145,11 @@ def _picture(reported: Any) -> Array:
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
 
 
-def find(picture: Array, wanted: dict[str, hsv_ranges.Range]) -> dict[str, Array]:
+def find(picture: Array, wanted: dict[str, hsv_ranges.HsvRange]) -> dict[str, Array]:
     """The centroid (2,) px of each colour's largest component, where there is one."""
     hsv, found = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV), {}
     for name, colour in wanted.items():
-        count, _, stats, centroids = cv2.connectedComponentsWithStats(hsv_ranges.mask(hsv, colour))
+        count, _, stats, centroids = cv2.connectedComponentsWithStats(hsv_ranges.mask_of_range(hsv, colour))
         if count > 1:
             found[name] = centroids[1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))]
     return found

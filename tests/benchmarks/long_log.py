@@ -71,7 +71,7 @@ def _place(angles: Array) -> Array:
 
 
 def _joints(topic: str, t: Array, values: Array) -> Iterator[Row]:
-    ns = messages.stamps(t, START_NS)
+    ns = messages.stamps_ns(t, START_NS)
     series = Series(t, values, ("elbow", "shoulder"), "rad", ns)
     made = messages.from_joints(topic, series, START_NS, np.gradient(values, t, axis=0))
     return rows(topic, made.log_ns, made)
@@ -84,7 +84,7 @@ def _skin(seconds: float, rng: np.random.Generator) -> Iterator[Row]:
     touched = np.abs(t % _TOUCH_EVERY - _TOUCH_EVERY / 2) < _STROKE / 2
     values[touched, 3] += 0.9
     fields: list[CdrField] = [("uint32", 0), ("uint32", 0), ("float32[]", values)]
-    return rows("/skin", messages.stamps(t, START_NS), cdr.serialise(len(t), fields))
+    return rows("/skin", messages.stamps_ns(t, START_NS), cdr.serialise_messages(len(t), fields))
 
 
 def _pictures(seconds: float, waves: Waves, rng: np.random.Generator) -> Iterator[Row]:
@@ -96,7 +96,7 @@ def _pictures(seconds: float, waves: Waves, rng: np.random.Generator) -> Iterato
         picture = walls[number % _WALLS].copy()
         for disc in discs:
             _paint(picture, disc)
-        ns = int(messages.stamps(np.array(t), START_NS))
+        ns = int(messages.stamps_ns(np.array(t), START_NS))
         yield ns, "/camera", compressed(ns, scenes.jpeg(picture))
 
 

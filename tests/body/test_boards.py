@@ -9,10 +9,10 @@ from bodylog import body
 from bodylog.body import storage as files
 from bodylog.body import test_scores
 from bodylog.body.kinematic import change
-from bodylog.body.kinematic.learn import learn
+from bodylog.body.kinematic.learn import learn_kinematics
 from bodylog.body.kinematic.model import KinematicGP
-from bodylog.body.kinematic.offsets import learned as offsets
-from bodylog.kinematics.rotations import exponential
+from bodylog.body.kinematic.offsets import learned_zeros as offsets
+from bodylog.kinematics.rotations import rotation_from_vector
 from bodylog.settings import Settings
 from bodylog.types import Features, Finding, Series
 from tests.body.test_kinematic import DEGREE, OFFSETS, _bent, given
@@ -55,7 +55,7 @@ def explored():
 
 @pytest.fixture(scope="module")
 def learned(explored):
-    return learn([explored], Settings(), body.learn([explored], Settings(), {}, None, True), given())
+    return learn_kinematics([explored], Settings(), body.learn_body([explored], Settings(), {}, None, True), given())
 
 
 def test_corners_are_predicted_by_one_calibration(learned):
@@ -78,8 +78,8 @@ def test_zeros_are_found_and_turning_one_joint_moves_its_own_alone(learned, expl
         assert by_joint[name].identifiable and by_joint[name].std < 0.6 * DEGREE
         assert abs(by_joint[name].value - OFFSETS[name]) < 3 * by_joint[name].std
     turned = features(robots.angles(40), turned=np.array([0.0, 0.0, DEGREE, 0.0]))
-    plain = body.learn([turned], Settings(), {}, None, True)
-    after = {one.joint: one for one in offsets(learn([turned], Settings(), plain, given()).model)}
+    plain = body.learn_body([turned], Settings(), {}, None, True)
+    after = {one.joint: one for one in offsets(learn_kinematics([turned], Settings(), plain, given()).model)}
     assert after["elbow"].value - by_joint["elbow"].value == pytest.approx(-DEGREE, abs=0.15 * DEGREE)
     assert after["lift"].value == pytest.approx(by_joint["lift"].value, abs=0.15 * DEGREE)
 
@@ -93,9 +93,9 @@ def test_scores_and_findings_name_the_board_and_not_each_corner(learned):
 
 
 def test_observability_is_that_of_kinematics_and_not_of_a_process_without_it(explored):
-    alone = body.learn([explored], Settings(), {}, None, True)
-    said = (Finding("warning", "lift: moved 0.9 rad, board only 3 px: vision hardly observes it"),)
-    found = learn([explored], Settings(), replace(alone, faint=said), given())
+    alone = body.learn_body([explored], Settings(), {}, None, True)
+    board_findings = (Finding("warning", "lift: moved 0.9 rad, board only 3 px: vision hardly observes it"),)
+    found = learn_kinematics([explored], Settings(), replace(alone, faint=board_findings), given())
     assert found.faint == ()
     effects = {s.name: s.value for s in found.scores if s.name.startswith("influence/")}
     assert set(effects) == {f"influence/board/{name}" for name in JOINTS}
@@ -108,9 +108,9 @@ def test_displacement_is_that_of_the_boards_own_centre_and_not_of_its_links_orig
     centre = carrier.anchor[:3, :3] @ points.mean(axis=0) + carrier.anchor[:3, 3]
     turn, shift = np.array([0.0, 0.06, 0.04]), np.array([0.002, 0.0, -0.0022])
     # p -> exp(w) p + v turns about the link's origin, 13 cm away
-    board = np.concatenate([centre + shift - exponential(turn) @ centre, turn])
+    board = np.concatenate([centre + shift - rotation_from_vector(turn) @ centre, turn])
     assert np.linalg.norm(board[:3]) > 1.4 * np.linalg.norm(shift)
-    (one,) = change.changes(features(robots.angles(60, seed=11), seed=5, board=board), learned.model)
+    (one,) = change.find_changes(features(robots.angles(60, seed=11), seed=5, board=board), learned.model)
     assert (one.kind, one.name) == ("marker", "board")
     assert abs(one.shift[0] - np.linalg.norm(shift)) < 3 * one.shift[1] < 0.0015
     assert abs(one.turn[0] - np.linalg.norm(turn)) < 3 * one.turn[1] < 0.03
@@ -118,7 +118,7 @@ def test_displacement_is_that_of_the_boards_own_centre_and_not_of_its_links_orig
 
 def test_save_keeps_each_board_corner_exactly(learned, tmp_path):
     files.save(learned.model, tmp_path / "body.npz")
-    found, x = files.load(tmp_path / "body.npz"), robots.angles(5, seed=4)
+    found, x = files.load_body(tmp_path / "body.npz"), robots.angles(5, seed=4)
     for name, sense in learned.model.senses.items():
         for one, other in zip(found.senses[name].predict(x), sense.predict(x), strict=True):
             assert np.array_equal(one, other)
@@ -138,7 +138,7 @@ def test_slopes_are_finite_differences_and_one_point_equals_many(learned):
 
 def test_score_of_a_board_covers_all_corners(learned):
     other = features(robots.angles(30, seed=21), seed=5)
-    scores = {score.name: score.value for score in test_scores.score(learned.model, [other])[0]}
+    scores = {score.name: score.value for score in test_scores.score_body_on_tests(learned.model, [other])[0]}
     each = [k for k in range(12) if f"sightings/test/board.{k}" in scores]
     assert scores["sightings/test/board"] == sum(scores[f"sightings/test/board.{k}"] for k in each)
     assert scores["rmse/test/board"] < 1.0 and 80.0 < scores["coverage_2sigma/test/board"] <= 100.0
@@ -149,7 +149,7 @@ SCALED = ARM.replace("0 -0.05 0.4", "0 -0.0525 0.42").replace("0 0 0.35", "0 0 0
 
 
 def test_learn_finds_overlong_links_from_the_board_size(explored):
-    plain = body.learn([explored], Settings(), {}, None, True)
-    found = learn([explored], Settings(), plain, given(SCALED))
+    plain = body.learn_body([explored], Settings(), {}, None, True)
+    found = learn_kinematics([explored], Settings(), plain, given(SCALED))
     assert found.model is plain.model
     assert "all the robot's links are " in found.findings[-1].text and " shorter " in found.findings[-1].text

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bodylog.body import learn
-from bodylog.estimation import estimate
-from bodylog.settings import Estimation, Settings
+from bodylog.body import learn_body
+from bodylog.estimation import estimate_from_features
+from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Array, Features, Series
 from tests.body.conftest import motion
 
@@ -42,7 +42,7 @@ def _run(seed: int, duration: float, noise: float, cameras: tuple[Array, ...] = 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_learn_treats_a_turning_head_as_a_joint(seed) -> None:
-    learned = learn([_run(seed, 60.0, 0.003)], Settings(), {})
+    learned = learn_body([_run(seed, 60.0, 0.003)], Settings(), {})
     assert learned.model.joints == JOINTS
     later = _angles(np.arange(0.0, 20.0, 0.1), seed)
     mean, slope, _ = learned.model.senses["effector"].predict(later)
@@ -53,12 +53,12 @@ def test_learn_treats_a_turning_head_as_a_joint(seed) -> None:
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (1, 2))])
 def test_estimate_with_two_cameras_is_better_than_with_either(seed) -> None:
     cameras = BASE, np.array([1.3, 0.5, 0.7])
-    body = learn([_run(seed, 60.0, 0.003, cameras)], Settings(), {}).model
+    body = learn_body([_run(seed, 60.0, 0.003, cameras)], Settings(), {}).model
     assert set(body.senses) == {"effector", "side/effector"}
     features = _run(seed, 20.0, 0.02, cameras)
     errors = {}
     for without in ((), ("effector",), ("side/effector",), ("vision",)):
-        found = estimate(features, body, Estimation(without=without))
+        found = estimate_from_features(features, body, EstimationSettings(without=without))
         true = _angles(found.joints.t, seed)
         errors[without] = np.sqrt(np.square(found.joints.values - true).mean())
     assert errors[()] < min(errors[("effector",)], errors[("side/effector",)]) < errors[("vision",)]

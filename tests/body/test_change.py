@@ -7,12 +7,12 @@ import pytest
 
 from bodylog import body, change_findings
 from bodylog.body.kinematic import change
-from bodylog.body.kinematic.learn import Robotics, learn
-from bodylog.body.kinematic.model import comparable
+from bodylog.body.kinematic.learn import Robotics, learn_kinematics
+from bodylog.body.kinematic.model import can_show_changes
 from bodylog.fault_findings import fault_warnings
 from bodylog.kinematics import urdf
 from bodylog.kinematics.links import CameraHint
-from bodylog.settings import Estimation, Settings
+from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Fault, Features, Series
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM, JOINTS
@@ -42,8 +42,8 @@ def run(seed=50, duration=10.0, encoder=0.01, offset=None, since=0.0, camera=Non
 
 
 def explored(seed=3):
-    features, given = run(seed, 16.0, 0.003), Robotics(urdf.parse(ARM, "arm"), {"": CameraHint()}, 5 * DEGREE)
-    return learn([features], Settings(), body.learn([features], Settings(), {}), given).model
+    features, given = run(seed, 16.0, 0.003), Robotics(urdf.parse_urdf(ARM, "arm"), {"": CameraHint()}, 5 * DEGREE)
+    return learn_kinematics([features], Settings(), body.learn_body([features], Settings(), {}), given).model
 
 
 @pytest.fixture(scope="module")
@@ -53,28 +53,28 @@ def known():
 
 def test_change_is_absent_in_a_sound_log(known):
     for seed in (50, 51):
-        assert change.changes(run(seed), known) == ()
+        assert change.find_changes(run(seed), known) == ()
 
 
 @pytest.mark.parametrize(("joint", "degrees"), [("pan", 1.0), ("lift", -2.0), ("elbow", 5.0)])
 def test_change_detects_a_moved_zero_with_its_size(known, joint, degrees):
-    (one,) = change.changes(run(offset={joint: degrees * DEGREE}), known)
+    (one,) = change.find_changes(run(offset={joint: degrees * DEGREE}), known)
     assert (one.kind, one.name, one.since, one.alternatives) == ("joint", joint, None, ())
     assert abs(one.value[0] - degrees * DEGREE) < 3 * one.std[0] < 0.5 * DEGREE and one.nats > change.GAIN
 
 
 def test_change_detects_a_slipped_gear_with_its_time(known):
-    (one,) = change.changes(run(offset={"lift": 2 * DEGREE}, since=6.0), known)
+    (one,) = change.find_changes(run(offset={"lift": 2 * DEGREE}, since=6.0), known)
     assert one.name == "lift" and abs(one.since - 6.0) < 0.3 and abs(one.value[0] - 2 * DEGREE) < 3 * one.std[0]
 
 
 def test_change_names_two_faulty_joints_with_their_sizes(known):
-    found = change.changes(run(offset={"lift": 2 * DEGREE, "elbow": -3 * DEGREE}), known)
+    found = change.find_changes(run(offset={"lift": 2 * DEGREE, "elbow": -3 * DEGREE}), known)
     assert {one.name: round(float(np.degrees(one.value[0]))) for one in found} == {"lift": 2, "elbow": -3}
 
 
 def test_change_of_a_pushed_camera_names_no_joint(known):
-    (one,) = change.changes(run(camera=np.array([0.01, 0.0, 0.0, 0.0, 0.03, 0.01])), known)
+    (one,) = change.find_changes(run(camera=np.array([0.01, 0.0, 0.0, 0.0, 0.03, 0.01])), known)
     assert (one.kind, one.name) == ("camera", "camera") and abs(one.value[4] - 0.03) < 3 * one.std[4]
 
 
@@ -83,25 +83,25 @@ def test_false_sightings_do_not_count(known):
     track = features.tracks["effector"]
     wrong = track.values.copy()
     wrong[::15] += 80.0
-    (one,) = change.changes(replace(features, tracks={"effector": replace(track, values=wrong)}), known)
+    (one,) = change.find_changes(replace(features, tracks={"effector": replace(track, values=wrong)}), known)
     assert one.name == "elbow" and abs(one.value[0] - 2 * DEGREE) < 3 * one.std[0]
 
 
 def test_change_needs_a_urdf_and_sightings(known):
     features = run(offset={"elbow": 2 * DEGREE})
-    plain = replace(known, senses={"effector": body.learn([run(3, 10.0)], Settings(), {}).model.senses["effector"]})
-    assert not comparable(plain) and change.changes(features, plain) == ()
-    assert change.changes(replace(features, tracks={}), known) == ()
+    plain = replace(known, senses={"effector": body.learn_body([run(3, 10.0)], Settings(), {}).model.senses["effector"]})
+    assert not can_show_changes(plain) and change.find_changes(features, plain) == ()
+    assert change.find_changes(replace(features, tracks={}), known) == ()
     few = replace(features, joints=replace(features.joints, names=("a", "b", "c", "d")))
-    assert change.changes(few, known) == ()
+    assert change.find_changes(few, known) == ()
 
 
 def _estimate(features, known, **settings):
     from bodylog import pipeline
 
-    chosen = Settings(estimate=Estimation(**settings))
+    chosen = Settings(estimate=EstimationSettings(**settings))
     found = pipeline.infer(features, known, chosen)
-    return found, change_findings.compared(features, known, found, chosen.estimate)
+    return found, change_findings.compare_changes_with_faults(features, known, found, chosen.estimate)
 
 
 def test_change_findings_name_a_change_once_with_its_std(known):
@@ -126,9 +126,9 @@ def test_change_findings_attribute_no_pushed_camera_to_joints(known):
     track = features.tracks["effector"]
     pushed = replace(track, values=track.values + 12.0 * (track.t >= 7.0)[:, None])
     features = replace(features, tracks={"effector": pushed})
-    assert change.changes(features, known)
+    assert change.find_changes(features, known)
     displaced = replace(found, faults=(Fault("vision", "camera", "displaced", 7.0, 17.0, "px", 0.2),))
-    assert change_findings.compared(features, known, displaced, Estimation()).faults == displaced.faults
+    assert change_findings.compare_changes_with_faults(features, known, displaced, EstimationSettings()).faults == displaced.faults
 
 
 def test_bias_off_reports_no_offset(known):
@@ -138,17 +138,17 @@ def test_bias_off_reports_no_offset(known):
 
 def test_sizes_that_differ_are_both_reported(known):
     found, _ = _estimate(run(), known)
-    (one,) = change.changes(run(offset={"elbow": 3 * DEGREE}), known)
+    (one,) = change.find_changes(run(offset={"elbow": 3 * DEGREE}), known)
     other = replace(found, faults=(Fault("encoders", "elbow", "drifting", 0.1, 0.2, "rad"),))
-    faults, findings = change_findings.merged([one], other)
+    faults, findings = change_findings.merge_changes_and_faults([one], other)
     assert [fault.kind for fault in faults] == ["offset"]
     assert any("by the filter its offset is 0.2 rad" in finding.text for finding in findings)
 
 
 def test_ambiguous_changes_are_named_together(known):
     found, _ = _estimate(run(), known)
-    (one,) = change.changes(run(offset={"elbow": 3 * DEGREE}), known)
-    (fault,), _ = change_findings.merged([replace(one, alternatives=("camera",))], found)
+    (one,) = change.find_changes(run(offset={"elbow": 3 * DEGREE}), known)
+    (fault,), _ = change_findings.merge_changes_and_faults([replace(one, alternatives=("camera",))], found)
     assert fault.name == "elbow or camera" and fault.size != fault.size and fault.std is None
 
 
@@ -157,10 +157,10 @@ def test_change_has_true_error_bars_over_many_draws():
     draw, within, count, false = np.random.default_rng(7), 0, 0, 0
     for seed in range(10):
         one = explored(seed)
-        false += sum(bool(change.changes(run(1000 + 10 * seed + k), one)) for k in range(2))
+        false += sum(bool(change.find_changes(run(1000 + 10 * seed + k), one)) for k in range(2))
         for k in range(4):
             joint, size = JOINTS[draw.integers(4)], draw.uniform(1, 5) * draw.choice([-1, 1]) * DEGREE
-            found = [c for c in change.changes(run(2000 + 10 * seed + k, offset={joint: size}), one) if c.name == joint]
+            found = [c for c in change.find_changes(run(2000 + 10 * seed + k, offset={joint: size}), one) if c.name == joint]
             count += len(found)
             within += sum(abs(c.value[0] - size) < 2 * c.std[0] for c in found)
     assert false == 0 and count >= 38 and within >= 0.9 * count

@@ -27,13 +27,13 @@ def test_error_of_a_curve_is_not_rounding_far_from_zero() -> None:
     draw = np.random.default_rng(5)
     x = np.sort(draw.uniform(-1.0, 1.0, 2_000))
     y = 1e4 + x + draw.normal(0.0, 1e-5, len(x))  # an encoder that has counted turns
-    _, error, _ = encoder_calibration._curve(x, y, np.arange(len(x)) % 10)
+    _, error, _ = encoder_calibration._fit_polynomial(x, y, np.arange(len(x)) % 10)
     assert error == pytest.approx(1e-10, rel=0.1)
 
 
 def test_a_joint_that_moves_in_one_part_of_the_log_has_a_curve() -> None:
     x = np.zeros(2_000)
     x[:200] = np.linspace(-1.0, 1.0, 200)
-    curve, error, _ = encoder_calibration._curve(x, x, np.repeat(np.arange(10), 200))
+    curve, error, _ = encoder_calibration._fit_polynomial(x, x, np.repeat(np.arange(10), 200))
     assert np.isfinite(curve).all()
     assert np.isfinite(error)

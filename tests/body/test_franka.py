@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from bodylog import calibration, pipeline, views
-from bodylog.config import load as load_settings
+from bodylog.config import load_settings
 from bodylog.errors import EvidenceError
 from bodylog.kinematics import urdf
-from bodylog.kinematics.chain import between
-from bodylog.kinematics.rotations import inverse, transform
+from bodylog.kinematics.chain import chain_between
+from bodylog.kinematics.rotations import invert_transform, make_transform
 
 DATA = Path(__file__).parents[3] / "shared" / "real" / "franka"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the Franka's images (../shared/real/franka) are not at hand")
@@ -36,7 +36,7 @@ def learned(log, folder, robot=None):
     settings = load_settings(DATA / "robot.toml")
     settings = replace(settings, kinematics=replace(settings.kinematics, urdf=robot))
     result = pipeline.fit([log], folder / "body.npz", settings)
-    return calibration.load(folder / "body.npz"), result
+    return calibration.load_calibration(folder / "body.npz"), result
 
 
 def flange_poses(rows):
@@ -57,7 +57,7 @@ def test_board_stays_where_it_is_over_images_held_out(robot, tmp_path):
     q, _ = flange_poses(test)
     _, features = pipeline.observe(rows_of("poses.csv", test, tmp_path), load_settings(DATA / "robot.toml"))
     names, points = features.boards["board"]
-    chain = between(urdf.load(Path(robot)), "panda_link0", found.cameras[0].link)
+    chain = chain_between(urdf.load_urdf(Path(robot)), "panda_link0", found.cameras[0].link)
     zeros = {one.joint: one.value for one in found.zeros if one.identifiable}
     arm = chain.at(q[:, : len(chain.joints)] + np.array([zeros.get(name, 0.0) for name in chain.joints]))
     lens = found.lenses[0]
@@ -69,13 +69,13 @@ def test_board_stays_where_it_is_over_images_held_out(robot, tmp_path):
         there = np.array([point for name, point in zip(names, points, strict=True) if name in features.tracks])
         seen = np.isfinite(corners).all(axis=1)
         _, turn, place = cv2.solvePnP(there[seen], corners[seen], matrix, distortion)
-        board = transform(cv2.Rodrigues(turn)[0], place[:, 0])
-        places.append((transform(arm.rotation[row], arm.place[row]) @ found.cameras[0].pose @ board)[:3, 3])
+        board = make_transform(cv2.Rodrigues(turn)[0], place[:, 0])
+        places.append((make_transform(arm.rotation[row], arm.place[row]) @ found.cameras[0].pose @ board)[:3, 3])
     scatter = np.linalg.norm(np.array(places) - np.mean(places, axis=0), axis=1)
     assert 1e3 * np.sqrt(np.mean(scatter**2)) < 2.5
 
 
-def test_joints_and_poses_place_the_camera_alike(robot, tmp_path):
+def test_joints_and_poses_agree_on_the_camera(robot, tmp_path):
     every = np.arange(12)
     by_joints, result = learned(rows_of("both.csv", every, tmp_path), tmp_path, robot)
     assert {one.joint for one in by_joints.zeros} <= {f"panda_joint{k}" for k in range(1, 8)}
@@ -83,14 +83,14 @@ def test_joints_and_poses_place_the_camera_alike(robot, tmp_path):
     assert not by_poses.zeros and any("do not tell the joints' zeros" in one.text for one in by_poses.findings)
     assert by_poses.cameras[0].link == "O_T_EE" and by_poses.markers[0].link == "base"
     q, flange = flange_poses(every)
-    chain = between(urdf.load(Path(robot)), "panda_link0", by_joints.cameras[0].link)
+    chain = chain_between(urdf.load_urdf(Path(robot)), "panda_link0", by_joints.cameras[0].link)
     arm = chain.at(q[:, : len(chain.joints)])
-    on_flange = inverse(flange[0]) @ transform(arm.rotation[0], arm.place[0])
+    on_flange = invert_transform(flange[0]) @ make_transform(arm.rotation[0], arm.place[0])
     apart = (on_flange @ by_joints.cameras[0].pose)[:3, 3] - by_poses.cameras[0].pose[:3, 3]
     std = np.hypot(np.linalg.norm(by_poses.cameras[0].place_std), np.linalg.norm(by_joints.cameras[0].place_std))
     assert np.linalg.norm(apart) < 2.0 * std
     warnings = [one for one in result.findings if one.severity != "info"]
-    assert len(result.verdict) + len(warnings) <= 12 and json.dumps(calibration.table(by_poses))
+    assert len(result.verdict) + len(warnings) <= 12 and json.dumps(calibration.calibration_as_values(by_poses))
 
 
 def test_board_moved_between_two_logs_is_found_and_the_zeros_stay_as_sure(robot, tmp_path):
@@ -108,7 +108,7 @@ def test_board_moved_between_two_logs_is_found_and_the_zeros_stay_as_sure(robot,
     (text,) = (one.text for one in result.findings if " moved between " in one.text)
     turn, std = (float(number) for number in text.partition(" mm and ")[2].partition("°")[0].split(" ± "))
     assert abs(turn - np.degrees(0.1)) < 4.0 * std < 0.5
-    two = {one.joint: one for one in calibration.load(tmp_path / "two.npz").zeros}
+    two = {one.joint: one for one in calibration.load_calibration(tmp_path / "two.npz").zeros}
     one_log, again = learned(rows_of("poses.csv", np.arange(12), tmp_path), tmp_path, robot)
     assert not any(" moved between " in one.text for one in again.findings)
     one = {zero.joint: zero for zero in one_log.zeros}
@@ -117,9 +117,9 @@ def test_board_moved_between_two_logs_is_found_and_the_zeros_stay_as_sure(robot,
         assert abs(two[name].value - one[name].value) < 2.0 * one[name].std
 
 
-def test_features_offers_the_board_in_one_line_and_fit_answers_swapped_counts(robot, tmp_path):
+def test_features_prints_the_board_in_one_line_and_fit_corrects_swapped_counts(robot, tmp_path):
     log = rows_of("poses.csv", np.arange(0, 12, 3), tmp_path)
-    found = views.features(log, None, load_settings(None), None)
+    found = views.find_feature_candidates(log, None, load_settings(None), None)
     boards = [one for one in found.candidates if one["kind"] == "board"]
     assert [one["name"] for one in boards] == ["board 5x7 (6x6_250)"]
     line = boards[0]["line"]

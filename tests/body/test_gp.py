@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bodylog.body.gp.fit import Fitted, Samples, assemble, samples, train
-from bodylog.body.gp.marginal_likelihood import Hyper, independent
-from bodylog.body.gp.model import GP, MISFIT, NEGLIGIBLE, se, shortened
+from bodylog.body.gp.fit import FittedKernels, Samples, assemble_exact_gp, samples_without_noise, train_gp
+from bodylog.body.gp.marginal_likelihood import Hyper, independent_noise
+from bodylog.body.gp.model import GP, MISFIT, NEGLIGIBLE, se_kernel, drop_negligible_rows
 
 
 def _random(seed: int, count: int, inputs: int, outputs: int, shared: bool) -> GP:
@@ -16,8 +16,8 @@ def _random(seed: int, count: int, inputs: int, outputs: int, shared: bool) -> G
         Hyper(np.exp(draw.normal(0, 0.5, inputs)), float(np.exp(draw.normal(4, 1))), float(np.exp(draw.normal(-1, 1))))
         for _ in groups
     )
-    found = Fitted(groups, kernels, tuple(independent(draw.uniform(0, 1, count)) for _ in groups))
-    return assemble(samples(x, y), found, tuple(f"o{d}" for d in range(outputs)), "px")
+    found = FittedKernels(groups, kernels, tuple(independent_noise(draw.uniform(0, 1, count)) for _ in groups))
+    return assemble_exact_gp(samples_without_noise(x, y), found, tuple(f"o{d}" for d in range(outputs)), "px")
 
 
 _sizes = {"seed": st.integers(0, 10_000), "inputs": st.integers(1, 7), "outputs": st.integers(1, 3)}
@@ -51,10 +51,10 @@ def test_one_point_and_many_agree(seed: int, inputs: int, outputs: int, shared: 
 @pytest.mark.parametrize("seed", range(5))
 def test_mean_and_variance_are_those_of_the_textbook(seed: int) -> None:
     gp = _random(seed, 25, 3, 1, True)
-    kernel = se(gp.samples / gp.scales[0], gp.samples / gp.scales[0], gp.amplitude[0])
+    kernel = se_kernel(gp.samples / gp.scales[0], gp.samples / gp.scales[0], gp.amplitude[0])
     noisy = kernel + np.diag(gp.spread[:, 0] + gp.noise[0])
     x = np.random.default_rng(seed).uniform(-2, 2, (7, 3))
-    cross = se(x / gp.scales[0], gp.samples / gp.scales[0], gp.amplitude[0])
+    cross = se_kernel(x / gp.scales[0], gp.samples / gp.scales[0], gp.amplitude[0])
     value, _, spread = gp.predict(x)
     expected = gp.mean[0] + cross @ np.linalg.solve(noisy, gp.targets[:, 0] - gp.mean[0])
     left = gp.amplitude[0] - np.einsum("ij,ji->i", cross, np.linalg.solve(noisy, cross.T))
@@ -77,7 +77,7 @@ def test_slope_variance_is_the_curvature_of_the_covariance(seed: int) -> None:
 @given(shared=st.booleans(), count=st.sampled_from([30, 200]), **_sizes)
 def test_shortened_factor_keeps_the_variance(seed: int, count: int, inputs: int, outputs: int, shared: bool) -> None:
     gp = _random(seed, count, inputs, outputs, shared)
-    short, draw = shortened(gp), np.random.default_rng(seed)
+    short, draw = drop_negligible_rows(gp), np.random.default_rng(seed)
     x = np.concatenate([gp.samples[:20], draw.uniform(-2, 2, (20, inputs)), draw.uniform(-6, 6, (20, inputs))])
     whole, less = gp.predict(x)[2], short.predict(x)[2]
     # plus the rounding of a difference of two amplitudes
@@ -87,7 +87,7 @@ def test_shortened_factor_keeps_the_variance(seed: int, count: int, inputs: int,
 
 
 def test_shortened_factor_of_a_smooth_model_is_small() -> None:
-    assert shortened(_random(0, 400, 2, 2, True)).factor.shape[1] < 200
+    assert drop_negligible_rows(_random(0, 400, 2, 2, True)).factor.shape[1] < 200
 
 
 def test_covariance_has_the_variance_on_its_diagonal() -> None:
@@ -144,8 +144,8 @@ def test_awkward_data_still_give_a_finite_model(case: str) -> None:
         y[3] = 1e6
     if case != "quiet":
         y = y + draw.normal(0, 0.1, y.shape)
-    data = Samples(x, y, np.zeros(y.shape), np.full(x.shape, 1e-6)) if case == "quiet" else samples(x, y)
-    gp = train(data, ("u", "v"), "px")
+    data = Samples(x, y, np.zeros(y.shape), np.full(x.shape, 1e-6)) if case == "quiet" else samples_without_noise(x, y)
+    gp = train_gp(data, ("u", "v"), "px")
     value, slope, spread = gp.predict(x)
     assert all(np.isfinite(part).all() for part in (value, slope, spread))
     if case != "one outlier":
@@ -156,7 +156,7 @@ def test_awkward_data_still_give_a_finite_model(case: str) -> None:
 def test_errors_decorrelate_over_reach(seed: int) -> None:
     draw = np.random.default_rng(seed)
     x = draw.uniform(-1, 1, (80, 3))
-    gp = train(samples(x, np.stack([np.sin(x.sum(axis=1)), np.cos(2 * x[:, 0])], axis=1)), ("u", "v"), "px", seed)
+    gp = train_gp(samples_without_noise(x, np.stack([np.sin(x.sum(axis=1)), np.cos(2 * x[:, 0])], axis=1)), ("u", "v"), "px", seed)
     for joint, reach in enumerate(gp.reach):
         step = 0.3 * reach * np.eye(3)[joint]
         both = [gp.covariance(np.stack([at, at + step]))[0] for at in x]

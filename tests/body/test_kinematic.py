@@ -7,10 +7,10 @@ import pytest
 
 from bodylog import body
 from bodylog.body import storage as files
-from bodylog.body.gp.marginal_likelihood import Hyper, cholesky, independent
-from bodylog.body.gp.model import GP, se
-from bodylog.body.kinematic.explicit import Rows, evidence, held_out, solved
-from bodylog.body.kinematic.learn import Robotics, learn
+from bodylog.body.gp.marginal_likelihood import Hyper, cholesky_with_jitter, independent_noise
+from bodylog.body.gp.model import GP, se_kernel
+from bodylog.body.kinematic.explicit import ResidualRows, residual_evidence, hold_out_blocks, solve_linear_unknowns
+from bodylog.body.kinematic.learn import Robotics, learn_kinematics
 from bodylog.body.kinematic.model import KinematicGP
 from bodylog.body_model import UNUSED_URDF
 from bodylog.errors import ModelError
@@ -44,17 +44,17 @@ def _bent(q, size):
 
 
 def given(text=ARM, doubt=5 * DEGREE) -> Robotics:
-    return Robotics(urdf.parse(text, "arm.urdf"), {"": CameraHint(size=(640, 480))}, doubt)
+    return Robotics(urdf.parse_urdf(text, "arm.urdf"), {"": CameraHint(size=(640, 480))}, doubt)
 
 
 @pytest.fixture(scope="module")
 def plain():
-    return body.learn([features()], Settings(), {})
+    return body.learn_body([features()], Settings(), {})
 
 
 @pytest.fixture(scope="module")
 def learned(plain):
-    return learn([features()], Settings(), plain, given())
+    return learn_kinematics([features()], Settings(), plain, given())
 
 
 def _truth(q, bend=3.0):
@@ -108,7 +108,7 @@ def test_zeros_are_found_and_unidentified_ones_are_named(learned):
 
 def test_storage_keeps_the_kinematic_model_exactly(learned, tmp_path):
     files.save(learned.model, tmp_path / "body.npz")
-    found, x = files.load(tmp_path / "body.npz"), robots.angles(5, seed=4)
+    found, x = files.load_body(tmp_path / "body.npz"), robots.angles(5, seed=4)
     both = (one.senses["effector"].predict(x) for one in (found, learned.model))
     for one, other in zip(*both, strict=True):
         assert np.array_equal(one, other)
@@ -127,11 +127,11 @@ BROKEN = {
 def test_storage_refuses_inconsistent_fields_by_name(learned, tmp_path, field, monkeypatch):
     from bodylog.body.kinematic import storage
 
-    arrays = storage.arrays
-    monkeypatch.setattr(storage, "arrays", lambda one: (a := arrays(one)) | {field: BROKEN[field](a[field])})
+    arrays = storage.kinematic_arrays
+    monkeypatch.setattr(storage, "kinematic_arrays", lambda one: (a := arrays(one)) | {field: BROKEN[field](a[field])})
     files.save(learned.model, tmp_path / "body.npz")
     with pytest.raises(ModelError, match="field effector"):
-        files.load(tmp_path / "body.npz")
+        files.load_body(tmp_path / "body.npz")
 
 
 OTHERS = {
@@ -146,7 +146,7 @@ OTHERS = {
 
 @pytest.mark.parametrize("which", OTHERS)
 def test_learn_names_and_ignores_another_robots_urdf(plain, which):
-    found = learn([features()], Settings(), plain, given(OTHERS[which]))
+    found = learn_kinematics([features()], Settings(), plain, given(OTHERS[which]))
     assert found.model is plain.model
     answer = found.findings[-1]
     assert answer.severity == "warning" and answer.text.startswith("the URDF is not used: ")
@@ -158,7 +158,7 @@ def test_learn_names_a_chain_joint_without_readings(plain):
         '<joint name="lifter" type="prismatic"><parent link="rail"/><child link="turret"/></joint><joint name="lift"',
     )
     lifted = lifted.replace('<child link="turret"/>\n', '<child link="rail"/>\n')
-    found = learn([features()], Settings(), plain, given(lifted))
+    found = learn_kinematics([features()], Settings(), plain, given(lifted))
     assert found.model is not plain.model
     text = "lifter: between camera and marker"
     assert any(f.severity == "warning" and f.text.startswith(text) for f in found.findings)
@@ -169,14 +169,14 @@ def test_learn_refuses_a_urdf_that_lacks_a_joint(plain):
     for name in JOINTS:
         text = text.replace(f'name="{name}"', f'name="left_{name}"')
     with pytest.raises(ModelError, match=r"none of the joints that moved \(pan, lift"):
-        learn([features()], Settings(), plain, given(text))
+        learn_kinematics([features()], Settings(), plain, given(text))
 
 
 def test_learn_finds_and_reports_a_slow_error():
     sizes = {}
     for drift in (0.0, 2.0):
         some = features(bend=0.0, drift=drift)
-        found = learn([some], Settings(), body.learn([some], Settings(), {}), given())
+        found = learn_kinematics([some], Settings(), body.learn_body([some], Settings(), {}), given())
         sizes[drift] = {score.name: score.value for score in found.scores}["std/lasting/effector"]
     assert sizes[0.0] < 0.1 and 0.5 < sizes[2.0] < 4.0
 
@@ -188,23 +188,23 @@ def test_learn_without_a_urdf_is_unchanged(plain):
 def _rows(count=25, unknowns=3):
     draw = np.random.default_rng(2)
     x = draw.uniform(-1, 1, (count, 2))
-    spread = independent(np.full((count, 2), 0.1) * [1.0, 2.0])
-    return Rows(x, draw.normal(size=(count, 2)), draw.normal(size=(count, 2, unknowns)), spread)
+    spread = independent_noise(np.full((count, 2), 0.1) * [1.0, 2.0])
+    return ResidualRows(x, draw.normal(size=(count, 2)), draw.normal(size=(count, 2, unknowns)), spread)
 
 
 def test_evidence_is_that_of_the_full_covariance_with_its_gradient():
     rows, kernel = _rows(), Hyper(np.array([0.7, 1.2]), 0.8, 0.2)
-    value, gradient = evidence(kernel.theta, rows)
+    value, gradient = residual_evidence(kernel.theta, rows)
     assert value == pytest.approx(_whole(rows, kernel)[0], rel=1e-6)
     steps = STEP * np.eye(4)
-    numeric = [(evidence(kernel.theta + s, rows)[0] - evidence(kernel.theta - s, rows)[0]) / (2 * STEP) for s in steps]
+    numeric = [(residual_evidence(kernel.theta + s, rows)[0] - residual_evidence(kernel.theta - s, rows)[0]) / (2 * STEP) for s in steps]
     np.testing.assert_allclose(gradient, numeric, rtol=1e-5)
 
 
 def _whole(rows, kernel):
     """Evidence (nats) and covariance (2n,2n) in full matrices."""
     n, z = len(rows.x), rows.x / kernel.scales
-    own = se(z, z, kernel.amplitude) + np.diag(rows.spread.diagonal) + kernel.noise * np.eye(n)
+    own = se_kernel(z, z, kernel.amplitude) + np.diag(rows.spread.diagonal) + kernel.noise * np.eye(n)
     design = rows.design.transpose(1, 0, 2).reshape(2 * n, -1)
     cov = np.kron(np.diag(rows.spread.share), own) + design @ design.T
     residual = rows.residual.T.reshape(-1)
@@ -215,16 +215,16 @@ def _whole(rows, kernel):
 def test_held_out_residuals_are_predictions_by_the_others():
     rows, kernel = _rows(), Hyper(np.array([0.7, 1.2]), 0.8, 0.2)
     z = rows.x / kernel.scales
-    chol = cholesky(se(z, z, kernel.amplitude), rows.spread, kernel.noise)
+    chol = cholesky_with_jitter(se_kernel(z, z, kernel.amplitude), rows.spread, kernel.noise)
     blocks = np.arange(25) // 5
-    residual, variance = held_out(chol, rows, blocks)
+    residual, variance = hold_out_blocks(chol, rows, blocks)
     cov, y = _whole(rows, kernel)[1], rows.residual.T.reshape(-1)
     out = np.tile(blocks == 2, 2)
     gain = cov[np.ix_(out, ~out)] @ np.linalg.inv(cov[np.ix_(~out, ~out)])
     np.testing.assert_allclose(residual[blocks == 2].T.reshape(-1), y[out] - gain @ y[~out], rtol=1e-6)
     left = np.diag(cov[np.ix_(out, out)] - gain @ cov[np.ix_(~out, out)])
     np.testing.assert_allclose(variance[blocks == 2].T.reshape(-1), left, rtol=1e-6)
-    assert solved(chol, replace(rows, residual=0 * rows.residual)).mean == pytest.approx(np.zeros(3))
+    assert solve_linear_unknowns(chol, replace(rows, residual=0 * rows.residual)).mean == pytest.approx(np.zeros(3))
 
 
 def test_plain_body_is_a_gp(plain):
@@ -245,7 +245,7 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, run_cli, caps
     assert lines[0] == "offsets:" and json.loads(lines[2].partition(": ")[2]) == answer["lift"]
     typed = ("offsets", tmp_path / "body.npz", "-o", tmp_path / "new.urdf")
     assert run_cli(*typed) == 2 and run_cli(*typed, "--urdf", tmp_path / "arm.urdf") == 0
-    again = learn([features()], Settings(), plain, given((tmp_path / "new.urdf").read_text()))
+    again = learn_kinematics([features()], Settings(), plain, given((tmp_path / "new.urdf").read_text()))
     for score in again.scores:
         if score.name.startswith("offset/"):
             std = next(s.value for s in again.scores if s.name == score.name.replace("offset/", "std/offset/"))

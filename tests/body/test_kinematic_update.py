@@ -7,12 +7,12 @@ import pytest
 
 from bodylog import body
 from bodylog.body.kinematic import update
-from bodylog.body.kinematic.learn import learn
+from bodylog.body.kinematic.learn import learn_kinematics
 from bodylog.body.kinematic.model import KinematicGP
 from bodylog.errors import EvidenceError
 from bodylog.kinematics import urdf
-from bodylog.kinematics.pose import based
-from bodylog.settings import Kinematics, Settings
+from bodylog.kinematics.pose import find_base
+from bodylog.settings import KinematicsSettings, Settings
 from tests.body.test_kinematic import OFFSETS, features, given
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM
@@ -20,16 +20,16 @@ from tests.kinematics.robots import ARM
 
 @pytest.fixture(scope="module")
 def known():
-    model = learn([features(25)], Settings(), body.learn([features(25)], Settings(), {}), given()).model
+    model = learn_kinematics([features(25)], Settings(), body.learn_body([features(25)], Settings(), {}), given()).model
     sense = model.senses["effector"]
     return replace(
-        model, senses={"effector": replace(sense, base=based(urdf.parse(ARM, "arm"), sense.rig, sense.theta, {}))}
+        model, senses={"effector": replace(sense, base=find_base(urdf.parse_urdf(ARM, "arm"), sense.rig, sense.theta, {}))}
     )
 
 
 def _updated(known, more, settings=None):
     settings = settings or Settings()
-    plain = body.learn([more], settings, {}, known)
+    plain = body.learn_body([more], settings, {}, known)
     return plain, body.with_kinematics([more], settings, plain, None, known)
 
 
@@ -51,7 +51,7 @@ def test_update_keeps_chain_and_base_and_reduces_uncertainty(known):
 
 
 def test_learn_without_a_urdf_uses_no_kinematics(known):
-    plain, found = _updated(known, features(25, seed=7), Settings(kinematics=Kinematics(use=False)))
+    plain, found = _updated(known, features(25, seed=7), Settings(kinematics=KinematicsSettings(use=False)))
     assert found is plain
 
 
@@ -60,8 +60,8 @@ def test_update_names_a_moved_camera_and_ignores_the_chain(known):
     track = more.tracks["effector"]
     turned = replace(track, values=track.values[:, ::-1] * [1.3, -1.0] + [40.0, 300.0])
     moved = replace(more, tracks={"effector": turned})
-    hopeful = body.learn([moved], Settings(), {}, known, keep="all")
-    found = update.learn([moved], Settings(), hopeful, known)
+    hopeful = body.learn_body([moved], Settings(), {}, known, keep="all")
+    found = update.update_kinematics([moved], Settings(), hopeful, known)
     assert found.model is hopeful.model and "the URDF is not used" in found.findings[-1].text
     with pytest.raises(EvidenceError, match="no track can be learned"):
         body.with_kinematics([moved], Settings(), hopeful, None, known)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog.body.gp.fit import samples, train
+from bodylog.body.gp.fit import samples_without_noise, train_gp
 from bodylog.body.senses.encoder_function import Polynomial
-from bodylog.body.storage import load, save
+from bodylog.body.storage import load_body, save
 from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.errors import ModelError, OutputError
 
@@ -21,7 +21,7 @@ def body() -> BodyModel:
     draw = np.random.default_rng(0)
     x = draw.uniform(-1, 1, (30, 2))
     y = np.column_stack([50 * np.sin(x[:, 0]), 40 * x[:, 1]]) + draw.normal(0, 0.1, (30, 2))
-    gps = {name: train(samples(x, y), ("u", "v"), "px") for name in ("effector", "elbow/knob")}
+    gps = {name: train_gp(samples_without_noise(x, y), ("u", "v"), "px") for name in ("effector", "elbow/knob")}
     noise = Noise((1e-6, 2e-6), dict.fromkeys(gps, (0.01, 0.02)), (0.1, 0.2), {"encoder": (1e-7, 1e-7)})
     senses = {**gps, "encoders": Polynomial(("pan", "lift"), np.array([[0.0, 0.0, 1.0], [0.1, 2.0, 0.0]]))}
     touch, cells = TouchConstants(1.0, 0.003), {7: (0.5, -31.0, 9.0), 90: (1.0, 2.0, 3.0)}
@@ -30,7 +30,7 @@ def body() -> BodyModel:
 
 def test_saving_and_loading_are_inverse(body: BodyModel, tmp_path: Path) -> None:
     save(body, tmp_path / "body.npz")
-    found = load(tmp_path / "body.npz")
+    found = load_body(tmp_path / "body.npz")
     for field in ("joints", "noise", "touch", "provenance", "cells"):
         assert getattr(found, field) == getattr(body, field)
     x = np.random.default_rng(1).uniform(-1, 1, (9, 2))
@@ -42,7 +42,7 @@ def test_saving_and_loading_are_inverse(body: BodyModel, tmp_path: Path) -> None
 def test_same_model_same_bytes_and_no_pickle(body: BodyModel, tmp_path: Path) -> None:
     one, other = tmp_path / "one.npz", tmp_path / "other.npz"
     save(body, one)
-    save(load(one), other)
+    save(load_body(one), other)
     assert one.read_bytes() == other.read_bytes()
     with np.load(one, allow_pickle=False) as arrays:
         assert all(arrays[name].dtype.kind in "fU" for name in arrays)
@@ -170,7 +170,7 @@ def test_load_refuses_a_broken_model_by_name(kind: str, body: BodyModel, tmp_pat
     damage, expected = _BROKEN[kind]
     damage(path)
     with pytest.raises(ModelError) as caught:
-        load(path)
+        load_body(path)
     assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
     assert expected in str(caught.value)
 
@@ -183,7 +183,7 @@ def test_load_detects_every_flipped_byte(seed: int, body: BodyModel, tmp_path: P
     whole[draw.integers(len(whole))] ^= 1 << draw.integers(8)
     path.write_bytes(bytes(whole))
     try:
-        found = load(path)
+        found = load_body(path)
     except ModelError:
         return
     # a changed date or padding byte does not change the model
@@ -194,7 +194,7 @@ def test_load_detects_every_flipped_byte(seed: int, body: BodyModel, tmp_path: P
 
 def test_storage_names_a_missing_file_and_folder(body: BodyModel, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="there is no such body model"):
-        load(tmp_path / "none.npz")
+        load_body(tmp_path / "none.npz")
     with pytest.raises(OutputError, match="mkdir -p"):
         save(body, tmp_path / "none" / "body.npz")
 
@@ -213,7 +213,7 @@ def test_older_touch_constants_are_read(body: BodyModel, tmp_path: Path) -> None
     save(body, path)
     units = {"joints": "rad", "encoder": "rad^2", "process": "rad^2/s^3", "b1": "1/px^2", "b2": "1/s^2", "cells": "px"}
     _header(touch={"a1": 1.0, "b1": 0.003, "a2": 1.0, "b2": 200.0}, units=units)(path)
-    assert load(path).touch == TouchConstants(1.0, 0.003)
+    assert load_body(path).touch == TouchConstants(1.0, 0.003)
 
 
 def test_save_refuses_a_model_that_could_not_be_loaded(body: BodyModel, tmp_path: Path) -> None:

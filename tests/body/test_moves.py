@@ -7,10 +7,10 @@ import pytest
 
 from bodylog import body
 from bodylog.body import storage as files
-from bodylog.body.kinematic.learn import learn
-from bodylog.body.kinematic.placements import calibration
+from bodylog.body.kinematic.learn import learn_kinematics
+from bodylog.body.kinematic.placements import calibration_of_body
 from bodylog.errors import ModelError
-from bodylog.kinematics.rotations import exponential, transform
+from bodylog.kinematics.rotations import rotation_from_vector, make_transform
 from bodylog.settings import Settings
 from bodylog.types import Series
 from tests.body.test_boards import features, image
@@ -27,7 +27,7 @@ def board_centre_shift() -> float:
     rig = robots.board()
     anchor = rig.carriers[0].anchor
     centre = anchor[:3, :3] @ rig.sights[0].points.mean(axis=0) + anchor[:3, 3]
-    return float(np.linalg.norm(exponential(STEP[3:]) @ centre + STEP[:3] - centre))
+    return float(np.linalg.norm(rotation_from_vector(STEP[3:]) @ centre + STEP[:3] - centre))
 
 
 def pair(seed, board=None, camera=None):
@@ -49,8 +49,8 @@ def pair(seed, board=None, camera=None):
 
 
 def fitted(logs):
-    plain = body.learn(logs, Settings(), {}, None, "all")
-    return learn(logs, Settings(), plain, given())
+    plain = body.learn_body(logs, Settings(), {}, None, "all")
+    return learn_kinematics(logs, Settings(), plain, given())
 
 
 def moves(found):
@@ -65,12 +65,12 @@ def test_board_that_moved_has_a_placement_in_each_log_and_the_zeros_stay_as_sure
     assert text.startswith("board moved between log 1 and log 2, by ")
     shift, std = (float(number) for number in text.partition(" by ")[2].partition(" mm")[0].split(" ± "))
     assert abs(shift - 1e3 * board_centre_shift()) < max(4.0 * std, 0.4)
-    zeros = [{one.joint: one for one in calibration(each.model).zeros} for each in (still, found)]
+    zeros = [{one.joint: one for one in calibration_of_body(each.model).zeros} for each in (still, found)]
     for name in ("lift", "elbow"):
         assert zeros[1][name].std < 1.3 * zeros[0][name].std
         assert abs(zeros[1][name].value - OFFSETS[name]) < 3.0 * zeros[1][name].std
     files.save(found.model, tmp_path / "body.npz")
-    placed = calibration(files.load(tmp_path / "body.npz"))
+    placed = calibration_of_body(files.load_body(tmp_path / "body.npz"))
     (before,) = placed.earlier
     assert before.name == "board in log 1" and before.identifiable
     apart = np.linalg.norm(before.pose[:3, 3] - placed.markers[0].pose[:3, 3])
@@ -78,11 +78,11 @@ def test_board_that_moved_has_a_placement_in_each_log_and_the_zeros_stay_as_sure
 
 
 def test_camera_that_was_pushed_is_named_and_keeps_its_lens():
-    push = transform(exponential(np.array([0.0, 0.05, 0.02])), np.array([0.03, 0.0, 0.02]))
+    push = make_transform(rotation_from_vector(np.array([0.0, 0.05, 0.02])), np.array([0.03, 0.0, 0.02]))
     found = fitted(pair(1, camera=push))
     (text,) = (one.text for one in moves(found))
     assert text.startswith("camera moved between log 1 and log 2, by ")
-    placed = calibration(found.model)
+    placed = calibration_of_body(found.model)
     assert [one.name for one in placed.earlier] == ["camera in log 1"]
     assert (np.abs(placed.lenses[0].focal - 600.0) < 4.0 * placed.lenses[0].focal_std).all()
 
@@ -104,4 +104,4 @@ def test_body_file_with_a_spoilt_calibration_is_refused_by_name(tmp_path):
             files.save(replace(found, provenance=spoilt), tmp_path / "body.npz")
     without = {name: value for name, value in found.provenance.items() if name != "calibration"}
     with pytest.raises(ModelError, match="earlier version, which kept no calibration"):
-        calibration(replace(found, provenance=without))
+        calibration_of_body(replace(found, provenance=without))

@@ -9,8 +9,8 @@ import pytest
 
 from bodylog import body
 from bodylog.body import storage as files
-from bodylog.body.kinematic.learn import learn
-from bodylog.body.kinematic.next_poses import kinematic_senses, propose, random_postures, visible
+from bodylog.body.kinematic.learn import learn_kinematics
+from bodylog.body.kinematic.next_poses import kinematic_senses, propose_postures, random_postures, is_surely_visible
 from bodylog.errors import EvidenceError
 from bodylog.settings import Settings
 from tests.body.test_boards import features
@@ -24,7 +24,7 @@ LIMITS = {"pan": SimpleNamespace(lower=-0.5, upper=0.5), "elbow": SimpleNamespac
 @pytest.fixture(scope="module")
 def learned():
     explored = features(robots.angles(12))
-    return learn([explored], Settings(), body.learn([explored], Settings(), {}, None, True), given()).model
+    return learn_kinematics([explored], Settings(), body.learn_body([explored], Settings(), {}, None, True), given()).model
 
 
 def test_random_postures_keep_to_the_limits(learned):
@@ -38,25 +38,25 @@ def test_random_postures_keep_to_the_limits(learned):
 
 def test_proposed_postures_lower_the_error_more_than_random_ones(learned):
     candidates = random_postures(learned, LIMITS)
-    found = propose(learned, 4, candidates)
+    found = propose_postures(learned, 4, candidates)
     senses = kinematic_senses(learned, "a calibration")
     assert len({tuple(one) for one in found.postures.tolist()}) == 4
     for posture in found.postures:
-        assert any(visible(learned, sense, posture[None])[0] for sense in senses.values())
+        assert any(is_surely_visible(learned, sense, posture[None])[0] for sense in senses.values())
     assert (np.diff(found.std_px) < 0.0).all() and (found.nats > 0.0).all()
-    random = [propose(learned, 1, candidates[k : k + 1]).nats[0] for k in range(40) if _seen(learned, candidates[k])]
+    random = [propose_postures(learned, 1, candidates[k : k + 1]).nats[0] for k in range(40) if _seen(learned, candidates[k])]
     assert found.nats[0] > np.median(random)
 
 
 def _seen(learned, posture):
     senses = kinematic_senses(learned, "a calibration").values()
-    return any(visible(learned, sense, posture[None])[0] for sense in senses)
+    return any(is_surely_visible(learned, sense, posture[None])[0] for sense in senses)
 
 
 def test_postures_out_of_sight_are_refused(learned):
     narrow = replace(learned, provenance={**learned.provenance, "image_sizes": {"camera": [20, 20]}})
     with pytest.raises(EvidenceError, match="0 of 5 postures would be seen, 2 are needed"):
-        propose(narrow, 2, robots.angles(5))
+        propose_postures(narrow, 2, robots.angles(5))
 
 
 def test_command_prints_postures(learned, tmp_path, run_cli, capsys):

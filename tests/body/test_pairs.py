@@ -3,34 +3,34 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.body.data.pairs import coupled, joints, moves, pairs
+from bodylog.body.data.pairs import correlate_angle_errors, smooth_all_joints, has_moved, pair_sightings
 from bodylog.errors import ConfigError, LogError
 
 
 @pytest.mark.parametrize("encoder", [0.0, 0.0005, 0.02])
 def test_joints_with_noise_alone_do_not_move(explored, encoder: float) -> None:
-    found = joints([explored(0, encoder, 20.0).features], None)
-    assert [j.name for j in found if moves(j)] == ["pan", "lift", "elbow"]
+    found = smooth_all_joints([explored(0, encoder, 20.0).features], None)
+    assert [j.name for j in found if has_moved(j)] == ["pan", "lift", "elbow"]
 
 
 def test_wanted_joints_come_in_the_order_wanted(explored) -> None:
     features = explored(0, 0.001, 10.0).features
-    assert [j.name for j in joints([features], ("elbow", "wrist"))] == ["elbow", "wrist"]
+    assert [j.name for j in smooth_all_joints([features], ("elbow", "wrist"))] == ["elbow", "wrist"]
     with pytest.raises(ConfigError, match=r"\[body\] joints: found 'elbo', possible: pan, lift, elbow, wrist"):
-        joints([features], ("elbo",))
+        smooth_all_joints([features], ("elbo",))
 
 
 def test_joints_names_a_log_without_readings(explored) -> None:
     features = explored(0, 0.001, 10.0).features
     with pytest.raises(LogError, match="log 2 of 2: no joint readings"):
-        joints([features, replace(features, joints=None)], None)
+        smooth_all_joints([features, replace(features, joints=None)], None)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_angles_beside_sightings_are_better_than_readings_with_true_variance(explored, seed: int) -> None:
     run = explored(seed, 0.02, 20.0)
-    chosen = joints([run.features], ("pan", "lift", "elbow"))
-    part = pairs([run.features], "effector", chosen, 1)
+    chosen = smooth_all_joints([run.features], ("pan", "lift", "elbow"))
+    part = pair_sightings([run.features], "effector", chosen, 1)
     error = part.x - run.angles[np.searchsorted(run.features.effector.t, part.t)]
     assert np.sqrt(np.mean(error**2)) < 0.006
     assert 0.5 < np.mean(error**2 / part.variance) < 1.6
@@ -42,9 +42,9 @@ def test_only_sightings_with_angles_are_paired(explored) -> None:
     values = track.values.copy()
     values[3:7] = np.nan
     late = replace(features, tracks={"effector": replace(track, values=values, t=track.t - 0.1)})
-    chosen = joints([late], ("pan", "lift", "elbow"))
+    chosen = smooth_all_joints([late], ("pan", "lift", "elbow"))
     twice = [replace(j, angles=j.angles * 2) for j in chosen]
-    part = pairs([late, features], "effector", twice, 1)
+    part = pair_sightings([late, features], "effector", twice, 1)
     assert part.frames == 2 * len(track.t)
     assert len(part.x) == 2 * len(track.t) - 4 - 1
     assert np.isfinite(part.x).all() and set(part.log) == {0, 1}
@@ -59,7 +59,7 @@ def test_sightings_in_long_encoder_gaps_are_dropped(explored, part: slice) -> No
     values, silent = readings.values.copy(), (readings.t > 6.0) & (readings.t < 13.0)
     values[silent, part] = np.nan
     fewer = replace(features, joints=replace(readings, values=values))
-    found = pairs([fewer], "effector", joints([fewer], ("pan", "lift", "elbow")), 1)
+    found = pair_sightings([fewer], "effector", smooth_all_joints([fewer], ("pan", "lift", "elbow")), 1)
     within = (found.t > 8.5) & (found.t < 10.5)
     assert not within.any() and len(found.t) > 120
     assert np.isin(found.t, features.tracks["effector"].t).all()
@@ -67,14 +67,14 @@ def test_sightings_in_long_encoder_gaps_are_dropped(explored, part: slice) -> No
 
 def test_pairs_keeps_every_nth_frame(explored) -> None:
     features = explored(0, 0.001, 10.0).features
-    part = pairs([features], "effector", joints([features], ("pan",)), 3)
+    part = pair_sightings([features], "effector", smooth_all_joints([features], ("pan",)), 3)
     assert np.allclose(part.t, features.effector.t[::3])
 
 
 def test_coupling_stays_within_a_log(explored) -> None:
     features = explored(0, 0.01, 8.0).features
-    chosen = joints([features, features], ("pan", "lift"))
-    part = pairs([features, features], "effector", chosen, 1)
-    found = coupled(part, chosen)
+    chosen = smooth_all_joints([features, features], ("pan", "lift"))
+    part = pair_sightings([features, features], "effector", chosen, 1)
+    found = correlate_angle_errors(part, chosen)
     assert (part.log[found.i] == part.log[found.j]).all() and (found.i > found.j).all()
     assert (np.abs(found.value) <= part.variance.max()).all() and set(found.joint) == {0, 1}

@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from bodylog.body.gp.marginal_likelihood import cholesky, independent
-from bodylog.body.kinematic.explicit import Rows, solved
+from bodylog.body.gp.marginal_likelihood import cholesky_with_jitter, independent_noise
+from bodylog.body.kinematic.explicit import ResidualRows, solve_linear_unknowns
 from bodylog.body.kinematic.residuals import PERIODIC_STD_RAD, with_periodic_errors
-from bodylog.body.kinematic.sightings import View
+from bodylog.body.kinematic.sightings import PointMeans
 from tests.kinematics import robots
 
 NOISE_PX = 0.1
@@ -20,9 +20,9 @@ def deviations(periodic: bool, draws: int = 40) -> np.ndarray:
     std = rig.prior[1]
     q = robots.angles(60)
     draw = np.random.default_rng(0)
-    view = View(q, np.zeros(len(q), int), np.zeros((1, 0)), np.arange(len(q)), np.ones((len(q), 1)))
+    view = PointMeans(q, np.zeros(len(q), int), np.zeros((1, 0)), np.arange(len(q)), np.ones((len(q), 1)))
     seen = rig.see(rig.sights[0], theta, q)
-    noise = cholesky(np.zeros((len(q), len(q))), independent(np.full((len(q), 2), NOISE_PX**2)), 0.0)
+    noise = cholesky_with_jitter(np.zeros((len(q), len(q))), independent_noise(np.full((len(q), 2), NOISE_PX**2)), 0.0)
     found = []
     for _ in range(draws):
         true = draw.normal(0.0, std)
@@ -33,9 +33,9 @@ def deviations(periodic: bool, draws: int = 40) -> np.ndarray:
         image = image + draw.normal(0.0, NOISE_PX, image.shape)
         seen = rig.see(rig.sights[0], at, q)
         residual = image - seen.image[:, 0] + seen.design[:, 0] @ true
-        rows = Rows(q, residual, seen.design[:, 0] * std, independent(np.full((len(q), 2), NOISE_PX**2)))
+        rows = ResidualRows(q, residual, seen.design[:, 0] * std, independent_noise(np.full((len(q), 2), NOISE_PX**2)))
         rows = with_periodic_errors(rig, rows, SimpleNamespace(view=view)) if periodic else rows
-        answer = solved(noise, rows)
+        answer = solve_linear_unknowns(noise, rows)
         spread = np.sqrt(np.square(answer.root).sum(axis=1))[: len(std)]
         found.append(((std * answer.mean[: len(std)] - true) / (std * spread))[rig.of_joints])
     return np.array(found)
@@ -51,8 +51,8 @@ def test_joints_that_slide_or_have_given_zeros_have_none():
     rig = robots.rig(doubt=1e-9)
     q = robots.angles(5)
     seen = rig.see(rig.sights[0], rig.prior[0], q)
-    rows = Rows(q, np.zeros((5, 2)), seen.design[:, 0] * rig.prior[1], independent(np.ones((5, 2))))
-    view = View(q, np.zeros(5, int), np.zeros((1, 0)), np.arange(5), np.ones((5, 1)))
+    rows = ResidualRows(q, np.zeros((5, 2)), seen.design[:, 0] * rig.prior[1], independent_noise(np.ones((5, 2))))
+    view = PointMeans(q, np.zeros(5, int), np.zeros((1, 0)), np.arange(5), np.ones((5, 1)))
     assert with_periodic_errors(rig, rows, SimpleNamespace(view=view)).design.shape == rows.design.shape
     turning = with_periodic_errors(robots.rig(), rows, SimpleNamespace(view=view))
     assert turning.design.shape[2] == rows.design.shape[2] + 8

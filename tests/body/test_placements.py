@@ -7,12 +7,12 @@ import pytest
 
 from bodylog import body, calibration
 from bodylog.body import storage as files
-from bodylog.body.kinematic.learn import learn
-from bodylog.body.kinematic.placements import calibration as calibrated
+from bodylog.body.kinematic.learn import learn_kinematics
+from bodylog.body.kinematic.placements import calibration_of_body as calibrated
 from bodylog.errors import UsageError
 from bodylog.kinematics import urdf
-from bodylog.kinematics.chain import between
-from bodylog.kinematics.rotations import inverse, logarithm
+from bodylog.kinematics.chain import chain_between
+from bodylog.kinematics.rotations import invert_transform, vector_from_rotation
 from bodylog.settings import Settings
 from tests.body.test_boards import features, image
 from tests.body.test_kinematic import OFFSETS, given
@@ -24,19 +24,19 @@ from tests.kinematics.test_chain import ends_of
 @pytest.fixture(scope="module")
 def learned():
     explored = features(robots.angles(40))
-    return learn([explored], Settings(), body.learn([explored], Settings(), {}, None, True), given()).model
+    return learn_kinematics([explored], Settings(), body.learn_body([explored], Settings(), {}, None, True), given()).model
 
 
 def test_camera_and_board_are_where_they_are(learned):
     found = calibrated(learned)
     rig = robots.board()
-    on_hand = between(urdf.parse(ARM, "arm"), "hand", "tool").fixed[0] @ rig.carriers[0].anchor
-    truth = {"camera": inverse(rig.cameras[0].anchor), "board": on_hand}
+    on_hand = chain_between(urdf.parse_urdf(ARM, "arm"), "hand", "tool").fixed[0] @ rig.carriers[0].anchor
+    truth = {"camera": invert_transform(rig.cameras[0].anchor), "board": on_hand}
     # the first joint's zero turns the camera, the last one's the board: both have no meaning beyond 0
     assert {one.joint for one in found.zeros if not one.identifiable} == {"pan", "wrist"}
     for one in (*found.cameras, *found.markers):
         off = one.pose[:3, 3] - truth[one.name][:3, 3]
-        turn = logarithm(one.pose[:3, :3] @ truth[one.name][:3, :3].T)
+        turn = vector_from_rotation(one.pose[:3, :3] @ truth[one.name][:3, :3].T)
         assert one.identifiable and (one.place_std < 0.02).all() and (one.turn_std < np.radians(1.0)).all()
         assert (np.abs(off) < 4.0 * one.place_std).all() and (np.abs(turn) < 4.0 * one.turn_std).all()
     lens = found.lenses[0]
@@ -51,10 +51,10 @@ def test_printed_set_foretells_by_itself_better_than_what_needs_the_process_besi
     theta = sense.theta.copy()
     camera, board, lens = found.cameras[0].pose, found.markers[0].pose, found.lenses[0]
     for part, pose, anchor in (
-        (rig.of_camera(0), inverse(camera), rig.cameras[0].anchor), (rig.of_carrier(0), board, rig.carriers[0].anchor),
+        (rig.of_camera(0), invert_transform(camera), rig.cameras[0].anchor), (rig.of_carrier(0), board, rig.carriers[0].anchor),
     ):  # fmt: skip
-        step = pose @ inverse(anchor)
-        theta[part][:6] = np.concatenate([step[:3, 3], logarithm(step[:3, :3])])
+        step = pose @ invert_transform(anchor)
+        theta[part][:6] = np.concatenate([step[:3, 3], vector_from_rotation(step[:3, :3])])
     ratio = np.log(lens.focal[1] / lens.focal[0])
     theta[rig.of_lens(0)] = [np.log(lens.focal[0]), ratio, *lens.centre, *lens.distortion]
     theta[rig.of_joints] = [one.value if one.identifiable else 0.0 for one in found.zeros]
@@ -102,7 +102,7 @@ def test_written_urdf_agrees_with_the_table(learned, tmp_path, run_cli):
     typed = ("calibration", tmp_path / "body.npz", "-o", tmp_path / "new.urdf")
     assert run_cli(*typed) == 2
     assert run_cli(*typed, "--urdf", tmp_path / "arm.urdf") == 0
-    chain = between(urdf.load(tmp_path / "new.urdf"), "base", "camera_optical_frame")
+    chain = chain_between(urdf.load_urdf(tmp_path / "new.urdf"), "base", "camera_optical_frame")
     np.testing.assert_allclose(chain.fixed[0], calibrated(learned).cameras[0].pose, atol=1e-12)
     pybullet = pytest.importorskip("pybullet")
     zeros = {one.joint: one.value for one in calibrated(learned).zeros if one.identifiable}

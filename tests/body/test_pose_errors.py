@@ -7,7 +7,7 @@ import pytest
 
 from bodylog import body, pipeline
 from bodylog.body import storage
-from bodylog.settings import Body, Settings
+from bodylog.settings import BodySettings, Settings
 from bodylog.types import Features, Series
 
 JOINTS = ("pan", "lift", "elbow")
@@ -34,12 +34,12 @@ def test_errors_of_joints_are_learned_from_residuals_that_tracks_share(seed, tmp
         for fore in (0.39, 0.2):
             seen = _places(q, turn, fore) + draw.normal(0, 0.3, (200, 2))
             tracks[f"track{len(tracks)}"] = Series(t, seen, ("u", "v"), "px", ns)
-    found = body.learn([Features(joints, tracks, None, (), (), {}, poses=True)], Settings(body=Body(joints=JOINTS)), {})
+    found = body.learn_body([Features(joints, tracks, None, (), (), {}, poses=True)], Settings(body=BodySettings(joints=JOINTS)), {})
     learned = np.sqrt(found.model.noise.encoder)
     assert np.all(np.abs(np.log(learned / std)) < 0.3)
     assert all(0 < e < v for e, v in zip(found.model.noise.std_error["encoder"], learned**2, strict=True))
     storage.save(found.model, tmp_path / "body.npz")
-    np.testing.assert_allclose(storage.load(tmp_path / "body.npz").provenance["pose_std"], learned)
+    np.testing.assert_allclose(storage.load_body(tmp_path / "body.npz").provenance["pose_std"], learned)
 
 
 def test_shared_errors_of_models_of_too_few_poses_are_no_encoder_errors():
@@ -52,7 +52,7 @@ def test_shared_errors_of_models_of_too_few_poses_are_no_encoder_errors():
         for k, (turn, fore) in enumerate((turn, fore) for turn in (-0.2, 0.0, 0.2) for fore in (0.39, 0.37, 0.35))
     }
     features = Features(Series(t, q, JOINTS, "rad", ns), tracks, None, (), (), {}, poses=True)
-    found = body.learn([features], Settings(), {})
+    found = body.learn_body([features], Settings(), {})
     assert np.sqrt(found.model.noise.encoder).max() < 0.02
 
 
@@ -66,7 +66,7 @@ def motoman(tmp_path_factory):
     for name, part in {"train": [r for k, r in enumerate(rows) if k % 3 != 2], "test": rows[2::3]}.items():
         (folder / f"{name}.csv").write_text("\n".join([head, *part]) + "\n")
     result = pipeline.fit([folder / "train.csv"], folder / "body.npz", Settings(), test=[folder / "test.csv"])
-    return storage.load(folder / "body.npz"), pipeline.observe(folder / "test.csv", Settings())[1], result
+    return storage.load_body(folder / "body.npz"), pipeline.observe(folder / "test.csv", Settings())[1], result
 
 
 def _shifted(features: Features, names, by: np.ndarray) -> Features:

@@ -47,17 +47,17 @@ def _large(array):
 @pytest.mark.parametrize("change", [_scaled, _mirrored, _far, _sheared, _last_row])
 def test_load_refuses_matrices_that_are_no_poses(kinematic, tmp_path, field, change):
     with pytest.raises(ModelError, match=rf"field effector/{field}: found .*, possible: (a rotation|at most)"):
-        storage.load(_changed(kinematic, tmp_path / "x.npz", field, change))
+        storage.load_body(_changed(kinematic, tmp_path / "x.npz", field, change))
 
 
 @pytest.mark.parametrize("field", ["theta", "lens", "points", "steps", "base_steps"])
 def test_load_refuses_numbers_that_no_camera_has(kinematic, tmp_path, field):
     with pytest.raises(ModelError, match=f"field effector/{field}: found "):
-        storage.load(_changed(kinematic, tmp_path / "x.npz", field, _large))
+        storage.load_body(_changed(kinematic, tmp_path / "x.npz", field, _large))
 
 
 def test_load_reads_a_learned_body(kinematic, tmp_path):
-    storage.load(_changed(kinematic, tmp_path / "x.npz", "chain", lambda array: None))
+    storage.load_body(_changed(kinematic, tmp_path / "x.npz", "chain", lambda array: None))
 
 
 def _changed(source, path, field, change):

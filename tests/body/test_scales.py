@@ -10,7 +10,7 @@ from bodylog import body, pipeline
 from bodylog.body import storage as files
 from bodylog.body.kinematic import offsets, update
 from bodylog.errors import ModelError
-from bodylog.settings import Body, Kinematics, Settings
+from bodylog.settings import BodySettings, KinematicsSettings, Settings
 from tests.body.test_kinematic import features
 from tests.kinematics.robots import ARM, JOINTS, angles
 
@@ -27,15 +27,15 @@ def learned(tmp_path_factory):
     rows = np.column_stack([counts, seen.tracks["effector"].values])
     text = "\n".join(",".join(repr(float(v)) for v in row) for row in rows)
     (folder / "poses.csv").write_text(",".join((*JOINTS, "effector_u", "effector_v")) + "\n" + text + "\n")
-    kinematics = Kinematics(urdf=str(folder / "arm.urdf"), scale_prior=0.05)
-    settings = Settings(body=Body(unit=UNIT), kinematics=kinematics)
+    kinematics = KinematicsSettings(urdf=str(folder / "arm.urdf"), scale_prior=0.05)
+    settings = Settings(body=BodySettings(unit=UNIT), kinematics=kinematics)
     result = pipeline.fit([folder / "poses.csv"], folder / "body.npz", settings)
     return folder, result
 
 
 def test_scale_is_learned_and_reported_with_its_uncertainty(learned):
     folder, result = learned
-    by_joint = {one.joint: one for one in offsets.scaled(files.load(folder / "body.npz"))}
+    by_joint = {one.joint: one for one in offsets.learned_scales(files.load_body(folder / "body.npz"))}
     lift = by_joint["lift"]
     assert lift.identifiable and abs(lift.value - SCALE) < 2 * lift.std and lift.value > 2 * lift.std
     text = [one.text for one in result.findings]
@@ -60,7 +60,7 @@ def test_scale_is_printed_and_written(learned, run_cli, capsys):
 
 def test_storage_keeps_the_scale_and_names_inconsistent_fields(learned):
     folder, _ = learned
-    found = files.load(folder / "body.npz")
+    found = files.load_body(folder / "body.npz")
     sense, x = found.senses["effector"], angles(5, 4)
     many, value = sense.predict(x), sense.means(x)[0]
     assert sense.rig.of_scales.stop == len(sense.theta) and np.array_equal(many[0], value)
@@ -79,12 +79,12 @@ def test_storage_keeps_the_scale_and_names_inconsistent_fields(learned):
             del links["scales"]
         np.savez(folder / "bad.npz", **(arrays | {"header": np.array(json.dumps(header))}))
         with pytest.raises(ModelError, match="kinematics.scales" if scales else "doubt"):
-            files.load(folder / "bad.npz")
+            files.load_body(folder / "bad.npz")
 
 
 def test_update_starts_from_the_scale(learned):
-    sense = files.load(learned[0] / "body.npz").senses["effector"]
-    rig, theta = update._whole({"effector": sense})
+    sense = files.load_body(learned[0] / "body.npz").senses["effector"]
+    rig, theta = update._merge_rigs({"effector": sense})
     assert np.array_equal(theta, sense.theta) and len(rig.prior[0]) == len(theta)
 
 
@@ -93,6 +93,6 @@ def test_scales_are_fixed_without_a_prior(learned, run_cli, capsys):
     (folder / "robot.toml").write_text("[kinematics]\nscale_prior = 0.5\n")
     typed = ("fit", folder / "poses.csv", "-o", folder / "no.npz", "--config", folder / "robot.toml")
     assert run_cli(*typed) == 2 and "0 to 0.3" in capsys.readouterr().err
-    plain = body.learn([features(30)], Settings(), {}).model
+    plain = body.learn_body([features(30)], Settings(), {}).model
     with pytest.raises(ModelError, match="without a URDF"):
-        offsets.scaled(plain)
+        offsets.learned_scales(plain)

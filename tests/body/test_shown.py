@@ -8,9 +8,9 @@ import pytest
 
 from bodylog import body
 from bodylog.body.data.exploration import select_joints
-from bodylog.body.data.pairs import joints, moves
+from bodylog.body.data.pairs import smooth_all_joints, has_moved
 from bodylog.recording import recording
-from bodylog.settings import Body, Settings
+from bodylog.settings import BodySettings, Settings
 from bodylog.types import Features, Series
 
 WORLDS = Path(__file__).parents[2].parent / "shared" / "logs" / "worlds"
@@ -31,14 +31,14 @@ def test_learn_ignores_a_gripper_that_moves_unseen(explored):
     alone = explored(1, 0.002, 20.0).features
     finger = 0.04 * np.sin(1.3 * alone.joints.t)
     both = _beside(alone, finger, "finger")
-    one, two = (body.learn([f], Settings(), {}) for f in (alone, both))
+    one, two = (body.learn_body([f], Settings(), {}) for f in (alone, both))
     assert one.model.joints == two.model.joints == ("pan", "lift", "elbow")
     x = one.model.senses["effector"].samples[:5]
     means = [learned.model.senses["effector"].predict(x)[0] for learned in (one, two)]
     np.testing.assert_array_equal(*means)
     (text,) = (f.text for f in two.findings if f.text.startswith("finger"))
     assert "left out: no track shows its motion" in text and "[body] joints" in text
-    asked = body.learn([both], Settings(body=Body(joints=("pan", "lift", "elbow", "finger"))), {})
+    asked = body.learn_body([both], Settings(body=BodySettings(joints=("pan", "lift", "elbow", "finger"))), {})
     assert asked.model.joints == ("pan", "lift", "elbow", "finger")
 
 
@@ -48,19 +48,19 @@ def test_learn_includes_a_visible_joint_of_a_further_topic(explored):
     old = alone.joints
     without = replace(alone, joints=replace(old, values=old.values[:, kept], names=tuple(old.names[k] for k in kept)))
     both = _beside(without, old.values[:, 2], "elbow")
-    assert set(body.learn([both], Settings(), {}).model.joints) == {"pan", "lift", "elbow"}
+    assert set(body.learn_body([both], Settings(), {}).model.joints) == {"pan", "lift", "elbow"}
 
 
 def test_learn_omits_a_gripper_beside_a_nearly_noiseless_track():
     """A process fits the fingers' motion to its small residual, which exceeds a tag's noise."""
     if not WORLDS.is_dir():
         pytest.skip(f"{WORLDS} is not here")
-    read, truth = recording.read(WORLDS / "tag_explore", Settings()), np.load(WORLDS / "tag_explore.truth.npz")
+    read, truth = recording.read_recording(WORLDS / "tag_explore", Settings()), np.load(WORLDS / "tag_explore.truth.npz")
     t = truth["t_frame"] + (float(truth["start"]) if truth["t_frame"][0] < 1e8 else 0.0) / 1e9 - read.start_ns / 1e9
     places = np.where(truth["seen"][:, None] > 0.5, truth["uv"], np.nan)
     track = Series(t, places, ("u", "v"), "px", np.rint(t * 1e9).astype(np.int64), np.full(places.shape, 0.01))
     found = Features(read.joints, {"effector": track}, None, (), (), {}, beside=read.beside)
-    kept, text = select_joints([found], [j for j in joints([found], None) if moves(j)], Settings().fit)
+    kept, text = select_joints([found], [j for j in smooth_all_joints([found], None) if has_moved(j)], Settings().fit)
     assert len(kept) == 6 and {f.text.split(":")[0] for f in text} == {"left_finger_joint", "right_finger_joint"}
 
 
@@ -72,7 +72,7 @@ def test_learn_omits_a_wheel_that_turns_all_the_time(explored, further):
     wheel = 3.0 * old.t + 0.1 * np.sin(old.t)
     one_topic = replace(old, values=np.column_stack([old.values, wheel]), names=(*old.names, "wheel"))
     both = _beside(alone, wheel, "wheel") if further else replace(alone, joints=one_topic)
-    learned = body.learn([both], Settings(), {})
+    learned = body.learn_body([both], Settings(), {})
     assert set(learned.model.joints) == {"pan", "lift", "elbow"}
     (left,) = (f for f in learned.findings if f.text.startswith("wheel"))
     assert left.severity == ("info" if further else "warning") and "[body] joints" in left.text
@@ -84,5 +84,5 @@ def test_learn_includes_joints_that_seem_to_turn(explored, turned):
     alone = explored(1, 0.002, 20.0).features
     old = alone.joints
     scaled = old.values * np.where(np.isin(old.names, turned), 57.3, 1.0)
-    wide = body.learn([replace(alone, joints=replace(old, values=scaled))], Settings(), {})
+    wide = body.learn_body([replace(alone, joints=replace(old, values=scaled))], Settings(), {})
     assert wide.model.joints == ("pan", "lift", "elbow")

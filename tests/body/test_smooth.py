@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bodylog.body.data.angle_smoother import Chain, Motion, chain, coupling, fit, posterior
+from bodylog.body.data.angle_smoother import ReadingChain, WhiteMotion, build_reading_chain, covariance_between_times, fit_white_motion, smooth_angles
 from bodylog.types import Array
 
 
@@ -13,7 +13,7 @@ def _wiener(a: Array, b: Array, order: int, density: float) -> Array:
     return density * width * lean[0] @ lean[1].T / (1.0 if order == 2 else 4.0)
 
 
-def _dense(t: Array, z: Array, at: Array, motion: Motion) -> tuple[Array, Array]:
+def _dense(t: Array, z: Array, at: Array, motion: WhiteMotion) -> tuple[Array, Array]:
     """Posterior mean and covariance at `at` in full matrices, with a wide prior on the start."""
     start, scale = t[0], 1e4
     both = np.concatenate([t, at]) - start
@@ -31,13 +31,13 @@ def test_posterior_and_coupling_are_those_of_a_dense_gaussian(order: int, seed: 
     t = np.cumsum(draw.uniform(0.03, 0.09, 40)) + 5.0
     z = np.sin(t) + draw.normal(0, 0.05, 40)
     at = np.sort(draw.uniform(t[0], t[-1], 15))
-    motion = Motion(order, 2.0, 0.05**2, 0.0, (0.0, 0.0))
-    signal = chain(t, z)
-    mean, variance = posterior(signal, motion, at)
+    motion = WhiteMotion(order, 2.0, 0.05**2, 0.0, (0.0, 0.0))
+    signal = build_reading_chain(t, z)
+    mean, variance = smooth_angles(signal, motion, at)
     expected, covariance = _dense(t, z, at, motion)
     assert np.abs(mean - expected).max() < 1e-3
     assert np.allclose(variance, np.diag(covariance), rtol=0.02)
-    i, j, value = coupling(signal, motion, at)
+    i, j, value = covariance_between_times(signal, motion, at)
     rebuilt = np.diag(variance)
     rebuilt[i, j] = rebuilt[j, i] = value
     assert (i > j).all()
@@ -52,7 +52,7 @@ def test_evidence_finds_the_noise_and_its_own_error_bar(encoder: float) -> None:
         t = np.arange(0, 20, 0.01)
         rate = np.cumsum(draw.normal(0, np.sqrt(0.5 * 0.01), len(t)))
         z = np.cumsum(rate) * 0.01 + draw.normal(0, encoder, len(t))
-        found = fit([chain(t, z)], 2)
+        found = fit_white_motion([build_reading_chain(t, z)], 2)
         truth = np.array([0.5, encoder**2])
         wrong.append((np.array([found.process, found.encoder]) - truth) / np.array(found.std_error))
     assert np.abs(np.mean(wrong, axis=0)).max() < 1.2
@@ -62,8 +62,8 @@ def test_evidence_finds_the_noise_and_its_own_error_bar(encoder: float) -> None:
 def test_fit_of_two_logs_has_smaller_std_error() -> None:
     draw = np.random.default_rng(0)
     t = np.arange(0, 10, 0.02)
-    logs = [chain(t, np.sin(t + k) + draw.normal(0, 0.01, len(t))) for k in range(2)]
-    one, both = fit(logs[:1], 2), fit(logs, 2)
+    logs = [build_reading_chain(t, np.sin(t + k) + draw.normal(0, 0.01, len(t))) for k in range(2)]
+    one, both = fit_white_motion(logs[:1], 2), fit_white_motion(logs, 2)
     assert both.encoder == pytest.approx(1e-4, rel=0.15)
     assert both.std_error[1] < 0.8 * one.std_error[1]
 
@@ -73,8 +73,8 @@ def test_smoothed_angles_have_true_error_bars(seed: int) -> None:
     draw = np.random.default_rng(seed)
     t = np.arange(0, 20, 0.02)
     truth = 0.4 * np.sin(0.9 * t) + 0.2 * np.sin(2.1 * t + seed)
-    signal = chain(t, truth + draw.normal(0, 0.02, len(t)))
-    mean, variance = posterior(signal, max((fit([signal], k) for k in (2, 3)), key=lambda m: m.evidence), t[5:-5])
+    signal = build_reading_chain(t, truth + draw.normal(0, 0.02, len(t)))
+    mean, variance = smooth_angles(signal, max((fit_white_motion([signal], k) for k in (2, 3)), key=lambda m: m.evidence), t[5:-5])
     error = mean - truth[5:-5]
     assert np.sqrt(np.mean(error**2)) < 0.006
     assert 0.4 < np.mean(error**2 / variance) < 1.8
@@ -82,9 +82,9 @@ def test_smoothed_angles_have_true_error_bars(seed: int) -> None:
 
 def test_angles_are_unknown_outside_the_readings_and_gaps_widen_error_bars() -> None:
     t = np.concatenate([np.arange(0, 5, 0.05), np.arange(8, 12, 0.05)])
-    signal = chain(t, np.sin(t) + np.random.default_rng(0).normal(0, 0.01, len(t)))
-    motion = fit([signal], 2)
-    mean, variance = posterior(signal, motion, np.array([-0.1, 2.5, 6.5, 12.5]))
+    signal = build_reading_chain(t, np.sin(t) + np.random.default_rng(0).normal(0, 0.01, len(t)))
+    motion = fit_white_motion([signal], 2)
+    mean, variance = smooth_angles(signal, motion, np.array([-0.1, 2.5, 6.5, 12.5]))
     assert np.isnan(mean[[0, 3]]).all() and np.isnan(variance[[0, 3]]).all()
     assert variance[2] > 50 * variance[1]
 
@@ -95,21 +95,21 @@ def test_readings_may_be_out_of_order_repeated_or_missing() -> None:
     z = np.sin(t) + draw.normal(0, 0.01, len(t))
     t, z = np.append(t, 5.0), np.append(z, np.nan)
     order = draw.permutation(len(t))
-    one, other = chain(t, z), chain(t[order], z[order])
-    assert isinstance(one, Chain) and len(one.t) == 500
+    one, other = build_reading_chain(t, z), build_reading_chain(t[order], z[order])
+    assert isinstance(one, ReadingChain) and len(one.t) == 500
     assert np.allclose(one.total, other.total) and one.count.sum() == len(t) - 1
-    assert fit([one], 2).encoder == pytest.approx(1e-4, rel=0.2)
+    assert fit_white_motion([one], 2).encoder == pytest.approx(1e-4, rel=0.2)
 
 
 def test_fit_counts_a_repeated_message_once() -> None:
     t = np.arange(0, 10, 0.008)
     z = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, len(t))
-    again = chain(np.sort(np.concatenate([t + k * 0.002 for k in range(4)])), np.repeat(z, 4))
-    assert fit([again], 3).encoder == pytest.approx(1e-4, rel=0.15)
+    again = build_reading_chain(np.sort(np.concatenate([t + k * 0.002 for k in range(4)])), np.repeat(z, 4))
+    assert fit_white_motion([again], 3).encoder == pytest.approx(1e-4, rel=0.15)
 
 
 def test_fast_encoders_share_nodes() -> None:
     t = np.arange(0, 5, 0.001)
-    signal = chain(t, np.sin(t) + np.random.default_rng(0).normal(0, 0.01, len(t)))
+    signal = build_reading_chain(t, np.sin(t) + np.random.default_rng(0).normal(0, 0.01, len(t)))
     assert len(signal.t) <= 501
-    assert fit([signal], 2).encoder == pytest.approx(1e-4, rel=0.1)
+    assert fit_white_motion([signal], 2).encoder == pytest.approx(1e-4, rel=0.1)

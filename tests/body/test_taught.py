@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.body.gp.inducing import inducing
+from bodylog.body.gp.inducing import choose_inducing_points
 from bodylog.body.gp.marginal_likelihood import Hyper
 from bodylog.errors import EvidenceError
 from bodylog.settings import Settings
@@ -25,7 +25,7 @@ def _only(features: Features, places: Array) -> Features:
 
 def _refused(features: Features) -> str:
     with pytest.raises(EvidenceError) as caught:
-        body.learn([features], Settings(), {})
+        body.learn_body([features], Settings(), {})
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -56,14 +56,14 @@ def test_learn_refuses_a_track_unrelated_to_the_joints(run, seed):
 def test_false_sightings_do_not_hide_that_the_arm_is_seen(run):
     draw, places = np.random.default_rng(1), run.tracks["effector"].values.copy()
     places[draw.random(len(places)) < 0.15] = draw.uniform(0, 300, 2)
-    assert set(body.learn([_only(run, places)], Settings(), {}).model.senses) == {"effector"}
+    assert set(body.learn_body([_only(run, places)], Settings(), {}).model.senses) == {"effector"}
 
 
 def test_learn_omits_a_still_track_with_a_warning(run):
     still = np.full(run.tracks["effector"].values.shape, [40.0, 30.0])
     noisy = still + np.random.default_rng(2).normal(0, 0.3, still.shape)
-    alone = body.learn([run], Settings(), {})
-    found = body.learn([_with(_with(run, still), noisy, "poster")], Settings(), {})
+    alone = body.learn_body([run], Settings(), {})
+    found = body.learn_body([_with(_with(run, still), noisy, "poster")], Settings(), {})
     assert set(found.model.senses) == {"effector"}
     warned = [f.text for f in found.findings if f.severity == "warning"]
     assert any(text.startswith("other: left out: stands still at (40.0, 30.0) px") for text in warned)
@@ -84,7 +84,7 @@ def test_too_few_sightings_for_the_joints_are_refused_with_the_counts(run):
 
 
 def test_findings_name_the_share_that_joints_explain(run):
-    found = body.learn([run], Settings(), {})
+    found = body.learn_body([run], Settings(), {})
     (explained,) = (s.value for s in found.scores if s.name == "explained/effector")
     assert 0.999 < explained < 1.0
     (text,) = (f.text for f in found.findings if f.text.startswith("joints: 3 learned over"))
@@ -94,13 +94,13 @@ def test_findings_name_the_share_that_joints_explain(run):
 def test_places_beyond_any_camera_are_left_out(run):
     places = run.tracks["effector"].values.copy()
     places[3] = 1e300
-    found = body.learn([_only(run, places)], Settings(), {})
+    found = body.learn_body([_only(run, places)], Settings(), {})
     assert any("1 of 199 places in log 1 left out: beyond 1e+06 px" in f.text for f in found.findings)
 
 
 def test_inducing_gives_one_point_without_amplitude():
     x = np.random.default_rng(0).normal(size=(700, 3))
-    assert len(inducing([Hyper(np.ones(3), 1e-9, 1.0)], x, 1.0)) == 1
+    assert len(choose_inducing_points([Hyper(np.ones(3), 1e-9, 1.0)], x, 1.0)) == 1
 
 
 def test_learn_refuses_a_table_of_few_poses(tmp_path, run_cli, capsys):

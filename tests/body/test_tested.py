@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.body.test_scores import score
+from bodylog.body.test_scores import score_body_on_tests
 from bodylog.errors import EvidenceError, ModelError
 from bodylog.settings import Settings
 
@@ -16,13 +16,13 @@ NAMES = (*ERRORS, "nis/test", "coverage_2sigma/test", "sightings/test")
 
 
 def _scores(model, *features):
-    return {one.name: one.value for one in score(model, features)[0]}
+    return {one.name: one.value for one in score_body_on_tests(model, features)[0]}
 
 
 @pytest.fixture(scope="module")
 def learned(explored):
     """The body of one exploration."""
-    return body.learn([explored(1, 0.003, 40.0).features], Settings(), {}).model
+    return body.learn_body([explored(1, 0.003, 40.0).features], Settings(), {}).model
 
 
 def test_scores_are_the_errors_against_what_was_seen(explored, learned):
@@ -51,10 +51,10 @@ def test_score_is_bad_for_a_wrong_body(explored, learned):
 def test_score_refuses_a_log_it_cannot_use(explored, learned):
     run = explored(5, 0.003, 10.0).features
     with pytest.raises(EvidenceError, match="test: no sighting of effector; tracks: other"):
-        score(learned, [replace(run, tracks={"other": run.tracks["effector"]})])
+        score_body_on_tests(learned, [replace(run, tracks={"other": run.tracks["effector"]})])
     with pytest.raises(ModelError, match="test log 2: joint 'pan' of the body is not there"):
         joints = replace(run.joints, names=("a", "b", "c", "d"))
-        score(learned, [run, replace(run, joints=joints)])
+        score_body_on_tests(learned, [run, replace(run, joints=joints)])
 
 
 def test_fit_scores_the_body_on_the_tables_given(tmp_path, run_cli, capsys):

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.body.senses.touch import learned
+from bodylog.body.senses.touch import learn_touch
 from bodylog.types import Features, Series, Synchrony, Touch
 
 
@@ -38,7 +38,7 @@ def _features(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_touch_spread_of_many_touches_is_their_own(seed: int) -> None:
-    constants, _, findings = learned([_features(seed, 300, 0.03, 6.0)], ("pan",), _Still())
+    constants, _, findings = learn_touch([_features(seed, 300, 0.03, 6.0)], ("pan",), _Still())
     assert constants.a1 == 1.0
     assert np.sqrt(1 / (2 * constants.b1)) == pytest.approx(6.0, rel=0.15)
     printed = float(re.search(r"300 delays, spread ([\d.]+) s", findings[0].text)[1])
@@ -48,24 +48,24 @@ def test_touch_spread_of_many_touches_is_their_own(seed: int) -> None:
 def test_touch_learned_without_strokes_is_the_same() -> None:
     features = _features(0, 40, 0.03, 6.0)
     kept = replace(features, synchrony=tuple(replace(pair, stroke=None) for pair in features.synchrony))
-    assert learned([kept], ("pan",), _Still()) == learned([features], ("pan",), _Still())
+    assert learn_touch([kept], ("pan",), _Still()) == learn_touch([features], ("pan",), _Still())
 
 
 def test_touch_spread_of_few_touches_is_near_the_prior() -> None:
-    constants, _, _ = learned([_features(0, 3, 1e-4, 1e-3)], ("pan",), _Still())
+    constants, _, _ = learn_touch([_features(0, 3, 1e-4, 1e-3)], ("pan",), _Still())
     assert 8.0 < np.sqrt(1 / (2 * constants.b1)) < 12.0
 
 
 def test_touch_spread_without_touches_is_the_prior() -> None:
     features = replace(_features(0, 1, 0.0, 0.0), touches=None, synchrony=())
-    constants, _, findings = learned([features], ("pan",), _Still())
+    constants, _, findings = learn_touch([features], ("pan",), _Still())
     assert findings == () and np.sqrt(1 / (2 * constants.b1)) == pytest.approx(12.0)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_touch_places_each_cell_beside_the_effector(seed: int) -> None:
     offsets = ((0.0, -15.0), (2.0, -40.0), (-8.0, 10.0))
-    _, cells, findings = learned([_features(seed, 90, 0.0, 3.0, offsets)], ("pan",), _Still())
+    _, cells, findings = learn_touch([_features(seed, 90, 0.0, 3.0, offsets)], ("pan",), _Still())
     assert set(cells) == {1, 2, 3} and "place of 3 cells" in findings[0].text
     for cell, offset in enumerate(offsets, 1):
         u, v, spread = cells[cell]
@@ -79,7 +79,7 @@ def test_touch_spread_grows_with_strokes_along_the_limb() -> None:
     along = np.where(features.hand.t[:, None] % 2.0 > 0.99, 1.0, 0.0) * ((features.hand.t % 1.0) * 60.0)[:, None]
     hand = replace(features.hand, values=features.hand.values + along * [0.0, 1.0])
     seen = replace(features, tracks={"hand": hand})
-    constants, cells, _ = learned([seen], ("pan",), _Still())
+    constants, cells, _ = learn_touch([seen], ("pan",), _Still())
     # from 0 to 30 px in one coordinate: mean square 300 px² there, 150 over both; the prior is five touches of 144 px²
     assert 1 / (2 * constants.b1) == pytest.approx(150.0, rel=0.1)
     assert cells[1][:2] == pytest.approx((0.0, 15.0), abs=0.5) and cells[1][2] == pytest.approx(np.sqrt(37.5), rel=0.1)
@@ -88,16 +88,16 @@ def test_touch_spread_grows_with_strokes_along_the_limb() -> None:
 def test_late_or_distant_strokes_are_not_used() -> None:
     features = _features(0, 30, 0.0, 5.0)
     late = tuple(replace(s, delay=0.6) for s in features.synchrony)
-    constants, cells, _ = learned([replace(features, synchrony=late)], ("pan",), _Still())
+    constants, cells, _ = learn_touch([replace(features, synchrony=late)], ("pan",), _Still())
     assert cells == {} and 1 / (2 * constants.b1) == pytest.approx(144.0)
     stray = features.hand.values + np.where(features.hand.t < 2.0, 150.0, 0.0)[:, None]
     seen = replace(features, tracks={"hand": replace(features.hand, values=stray)})
-    constants, cells, _ = learned([seen], ("pan",), _Still())
+    constants, cells, _ = learn_touch([seen], ("pan",), _Still())
     assert np.sqrt(1 / (2 * constants.b1)) < 8.0 and np.hypot(*cells[1][:2]) < 3.0
 
 
 def test_pairs_half_a_second_apart_are_no_pairs() -> None:
     features = _features(0, 50, 0.02, 5.0)
     far = tuple(replace(s, delay=0.6) for s in features.synchrony)
-    _, cells, findings = learned([replace(features, synchrony=far)], ("pan",), _Still())
+    _, cells, findings = learn_touch([replace(features, synchrony=far)], ("pan",), _Still())
     assert cells == {} and findings == ()

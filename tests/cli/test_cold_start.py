@@ -11,7 +11,7 @@ HEAVY = ("cv2", "scipy", "matplotlib", "rich", "numpy.ma", "concurrent.futures",
          "rosbags", "mcap", "ruamel", "threadpoolctl", "simplejpeg", "fsspec", "bodylog.pipeline")  # fmt: skip
 INFO = f"""
 import sys, bodylog_cli
-assert bodylog_cli.run(["info", {str(LOG)!r}]) == 0
+assert bodylog_cli.run_command(["info", {str(LOG)!r}]) == 0
 """
 READ = f"""
 import sys, bodylog.logs

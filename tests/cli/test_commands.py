@@ -259,7 +259,7 @@ def test_features_and_colours_list_the_arms_target_first(tmp_path, capsys, run_c
 
 
 def test_features_explains_its_columns_and_prints_lines_to_paste(tmp_path, capsys, run_cli, robot):
-    from bodylog.config import load
+    from bodylog.config import load_settings
 
     capsys.readouterr()
     assert run_cli("features", robot / "explore.mcap") == 0
@@ -268,7 +268,7 @@ def test_features_explains_its_columns_and_prints_lines_to_paste(tmp_path, capsy
     at = rows.index("# paste one of these lines under [features] in robot.toml")
     assert len(rows[:at]) == len(rows[at + 1 :]) and not any(line.startswith("#") for line in rows[at + 1 :])
     (tmp_path / "robot.toml").write_text("\n".join(["[features]", rows[at + 1]]))
-    assert load(tmp_path / "robot.toml").features.keys() == {"effector"}
+    assert load_settings(tmp_path / "robot.toml").features.keys() == {"effector"}
 
 
 def test_features_shows_no_share_where_none_is_computed(tmp_path, capsys, run_cli, robot):

@@ -12,7 +12,7 @@ from bodylog import compare
 from bodylog.body import storage
 from bodylog.estimation import METHODS
 from bodylog.estimation.inference import kernel
-from bodylog.settings import Estimation, Settings
+from bodylog.settings import EstimationSettings, Settings
 
 from .spoilt import spoil
 
@@ -57,15 +57,15 @@ def test_subsets_without_the_encoders_are_run_only_for_all(capsys, run_cli, robo
     rows, printed = _ran(capsys, run_cli, *typed)
     assert ("laplace", ("encoders", "vision")) in rows and ("kalman", ("encoders",)) in rows
     assert all("encoders" in senses for _, senses in rows)
-    (told,) = [f["text"] for f in printed["findings"] if "--all" in f["text"]]
-    assert "vision" in told
+    (finding_text,) = [f["text"] for f in printed["findings"] if "--all" in f["text"]]
+    assert "vision" in finding_text
     assert rows < whole[0] and ("laplace", ("vision",)) in whole[0]
     assert not any("--all" in f["text"] for f in whole[1]["findings"])
 
 
 def test_a_log_without_encoders_has_its_rows_without_all():
     blind_joints = [("vision", "touch"), ("vision",), ("touch",)]
-    assert compare.usual(blind_joints) == blind_joints
+    assert compare.select_usual_subsets(blind_joints) == blind_joints
 
 
 def test_compare_omits_senses_that_settings_exclude(tmp_path, capsys, run_cli, robot):
@@ -79,7 +79,7 @@ def test_compare_omits_senses_that_settings_exclude(tmp_path, capsys, run_cli, r
 
 
 def test_compare_omits_a_sense_the_body_lacks(tmp_path, capsys, run_cli, robot):
-    body = storage.load(robot / "body.npz")
+    body = storage.load_body(robot / "body.npz")
     noise = replace(body.noise, senses={}, std_error={k: v for k, v in body.noise.std_error.items() if k != "effector"})
     storage.save(replace(body, senses={}, noise=noise), tmp_path / "blind.npz")
     rows, printed = _ran(capsys, run_cli, robot / "reach.mcap", "--body", tmp_path / "blind.npz")
@@ -123,8 +123,8 @@ def test_compare_times_only_warmed_up_runs(monkeypatch, robot):
 
     monkeypatch.setattr(compare, "infer", infer)
     shown = []
-    settings = Settings(estimate=Estimation(without=("touch",)))
-    rows, _ = compare.compare(robot / "reach.mcap", robot / "body.npz", settings, None, shown.append)
+    settings = Settings(estimate=EstimationSettings(without=("touch",)))
+    rows, _ = compare.compare_methods(robot / "reach.mcap", robot / "body.npz", settings, None, shown.append)
     assert shown == rows and len(asked) == 2 * len(rows)
     for first, then in zip(asked[::2], asked[1::2], strict=True):
         assert first[0] == then[0] and first[1] < then[1]
@@ -134,16 +134,16 @@ def test_encoders_that_never_spoke_are_no_sense(robot):
     from bodylog.pipeline import observe
 
     _, features = observe(robot / "reach.mcap", Settings())
-    body = storage.load(robot / "body.npz")
+    body = storage.load_body(robot / "body.npz")
     mute = replace(features, joints=replace(features.joints, values=np.full_like(features.joints.values, np.nan)))
-    assert compare.subsets(mute, body, Estimation(without=("touch",)))[0] == [("vision",)]
-    assert compare.subsets(mute, body, Estimation(senses=("encoders",)))[0] == []
+    assert compare.list_sense_subsets(mute, body, EstimationSettings(without=("touch",)))[0] == [("vision",)]
+    assert compare.list_sense_subsets(mute, body, EstimationSettings(senses=("encoders",)))[0] == []
 
 
 @pytest.mark.parametrize("command", ["compare", "estimate", "batch"])
 def test_without_the_compiled_library_the_log_is_not_blamed(tmp_path, monkeypatch, capsys, run_cli, robot, command):
     monkeypatch.setattr(kernel, "LIBRARY", tmp_path / "libkernel.so")
-    monkeypatch.setattr(kernel, "library", kernel.library.__wrapped__)
+    monkeypatch.setattr(kernel, "load_library", kernel.load_library.__wrapped__)
     out = () if command == "compare" else ("-o", tmp_path / "out")
     assert run_cli(command, robot / "reach.mcap", "--body", robot / "body.npz", *out) == 2
     assert "type in bodylog's folder: pip install ." in capsys.readouterr().err

@@ -92,9 +92,9 @@ def test_damaged_episode_keeps_its_sound_part_and_exits_3(dataset, run_cli, tmp_
 
 
 def test_batch_treats_each_episode_as_a_log(dataset, tmp_path):
-    assert jobs.named([str(dataset)]) == {f"set_{n}": f"{dataset}#{n}" for n in range(3)}
-    assert list(jobs.named([f"{dataset}#1-2"]).values()) == [f"{dataset}#1", f"{dataset}#2"]
+    assert jobs.name_logs([str(dataset)]) == {f"set_{n}": f"{dataset}#{n}" for n in range(3)}
+    assert list(jobs.name_logs([f"{dataset}#1-2"]).values()) == [f"{dataset}#1", f"{dataset}#2"]
     drawn.robomimic(tmp_path / "demos.hdf5")
     drawn.aloha(tmp_path / "one.hdf5")
-    found = sorted(jobs.named([str(tmp_path)]).values())
+    found = sorted(jobs.name_logs([str(tmp_path)]).values())
     assert found == [f"{tmp_path}/demos.hdf5#{n}" for n in (0, 1, 3)] + [f"{tmp_path}/one.hdf5"]

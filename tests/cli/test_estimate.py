@@ -161,7 +161,7 @@ def test_compare_warns_of_a_method_that_refuses(tmp_path, capsys, run_cli, arm, 
     """A body whose encoders read the square of the distance from the middle of what was explored."""
     from bodylog.body import Polynomial, storage
 
-    body = storage.load(arm_body)
+    body = storage.load_body(arm_body)
     middle = np.median(body.senses["effector"].samples, axis=0)
     squares = Polynomial(body.joints, np.column_stack([middle**2, -2.0 * middle, np.ones(3)]))
     storage.save(replace(body, senses={**body.senses, "encoders": squares}), tmp_path / "body.npz")
@@ -184,9 +184,9 @@ def test_readings_as_they_come_give_the_belief_of_the_log(arm, arm_body, bias):
     """As `estimate --precision model` has it; a learned model knows its own variance to eight digits."""
     from bodylog import Estimator, load_body
     from bodylog.pipeline import infer, observe
-    from bodylog.settings import Estimation, Settings
+    from bodylog.settings import EstimationSettings, Settings
 
-    chosen = Settings(estimate=Estimation(precision="model", bias=bias))
+    chosen = Settings(estimate=EstimationSettings(precision="model", bias=bias))
     _, features = observe(arm / "reach.bag", chosen)
     track, joints, body = features.tracks["effector"], features.joints, load_body(arm_body)
     whole = infer(features, body, chosen)

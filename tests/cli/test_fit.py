@@ -80,7 +80,7 @@ def test_joints_are_those_named_in_that_order_and_frames_every_nth(tmp_path, cap
 
 def test_fit_update_equals_learning_from_all_logs(tmp_path, capsys, run_cli, arm, arm_body):
     """In the mean; how sure each is differs, as a body keeps less of a log than the log itself."""
-    from bodylog.body.storage import load
+    from bodylog.body.storage import load_body
 
     both, added = tmp_path / "both.npz", tmp_path / "added.npz"
     _learned(capsys, run_cli, both, arm / "explore.mcap", arm / "reach.bag")
@@ -88,7 +88,7 @@ def test_fit_update_equals_learning_from_all_logs(tmp_path, capsys, run_cli, arm
     assert body["joints"] == list(JOINTS) and len(body["provenance"]["update_sha256"]) == 64
     truth = np.load(arm / "reach.mcap.truth.npz")
     x = np.column_stack([np.interp(truth["tf"], truth["t"], column) for column in truth["x"].T[::-1]])  # elbow first
-    alone, together, later = (load(path).senses["effector"].predict(x)[0] for path in (arm_body, both, added))
+    alone, together, later = (load_body(path).senses["effector"].predict(x)[0] for path in (arm_body, both, added))
     assert all(np.sqrt(np.mean((mean - truth["ee"]) ** 2)) < 0.6 for mean in (alone, together, later))
     assert np.sqrt(np.mean((together - later) ** 2)) < 0.1
 

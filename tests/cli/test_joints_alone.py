@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 
 from bodylog.annotating.read_back import read_estimate
 from bodylog.recording import recording
-from bodylog.recording.robot_description import described
+from bodylog.recording.robot_description import read_robot_description
 from bodylog.settings import Settings
 from tests.conftest import SHARED
 
@@ -34,7 +34,7 @@ def test_estimate_without_a_body_uses_joints_alone(robot, alone, capsys, run_cli
 
 
 def test_undetectable_fault_breaks_its_bound_without_a_body(robot, alone, run_cli):
-    name = recording.read(robot / "reach.mcap", Settings()).joints.names[0]
+    name = recording.read_recording(robot / "reach.mcap", Settings()).joints.names[0]
     assert run_cli("evaluate", alone, "--fail-if", "faults>0", "--fail-if", f"fault/frozen/{name}>0") == 0
     assert run_cli("evaluate", alone, "--fail-if", f"fault/encoder_offset/{name}>0.05") == 4
     assert run_cli("evaluate", alone, "--fail-if", "fault/encoder_offset/nobody>0.05") == 2
@@ -49,7 +49,7 @@ def test_estimate_checks_bounds_after_writing_the_log(tmp_path, robot, run_cli):
 
 @pytest.mark.parametrize("form", ["csv", "npz", "log"])
 def test_truth_kept_elsewhere_scores_as_truth_in_the_log(tmp_path, robot, alone, run_cli, capsys, form):
-    read = recording.read(robot / "reach.mcap", Settings())
+    read = recording.read_recording(robot / "reach.mcap", Settings())
     truth, path = read.truth, tmp_path / f"truth.{form}"
     ns = read.start_ns + np.round(truth.t * 1e9).astype(np.int64)
     if form == "csv":
@@ -69,7 +69,7 @@ def test_truth_kept_elsewhere_scores_as_truth_in_the_log(tmp_path, robot, alone,
 
 
 def test_truth_of_other_joints_or_another_time_is_refused_with_what_is_possible(tmp_path, alone, run_cli, capsys):
-    name = recording.read(alone, Settings()).joints.names[0]
+    name = recording.read_recording(alone, Settings()).joints.names[0]
     others = (("t,nobody\n0,1\n1,1\n", "its columns are nobody"), (f"t,{name}\n900,1\n901,1\n", "it is from 900"))
     for text, why in others:
         (tmp_path / "a.csv").write_text(text)
@@ -87,7 +87,7 @@ def test_estimate_without_a_body_handles_a_real_robot(tmp_path, run_cli, capsys)
 
 def test_joints_outside_of_a_urdfs_limits_are_named(tmp_path, robot, run_cli, capsys):
     """The log's own URDF accuses nobody; one with closer limits does; a body knows its robot."""
-    text = described(robot / "reach.mcap").urdf
+    text = read_robot_description(robot / "reach.mcap").urdf
     out, closer = tmp_path / "a.mcap", tmp_path / "closer.urdf"
     elbow = re.compile(r'(name="elbow_joint".*?)<limit [^>]*>', re.DOTALL)
     closer.write_text(elbow.sub(r'\1<limit lower="-9" upper="-8"/>', text))
@@ -110,5 +110,5 @@ def test_still_poses_without_a_body_are_what_their_encoders_read(tmp_path, run_c
     (tmp_path / "poses.csv").write_text("pan,lift\n" + "".join(f"{a},{b}\n" for a, b in rows))
     assert run_cli("estimate", tmp_path / "poses.csv", "-o", tmp_path / "a.mcap") == 0
     assert "warning: " not in capsys.readouterr().err
-    belief = read_estimate(tmp_path / "a.mcap", recording.read(tmp_path / "a.mcap", Settings()).start_ns)
+    belief = read_estimate(tmp_path / "a.mcap", recording.read_recording(tmp_path / "a.mcap", Settings()).start_ns)
     assert np.abs(belief.joints.values - rows).max() < 1e-5

@@ -120,9 +120,9 @@ def test_fault_is_printed_once(capsys) -> None:
 
     fault = Fault("encoders", "elbow", "drifting", 8.8, 0.3, "rad")
     verdict, findings = ("elbow: encoder drifts",), fault_warnings([fault])
-    output.show(Result(None, findings=findings, faults=(fault,), verdict=verdict), "x", False)
+    output.print_result(Result(None, findings=findings, faults=(fault,), verdict=verdict), "x", False)
     assert capsys.readouterr() == ("elbow: encoder drifts\n", "")
-    output.show(Result(None, findings=findings, faults=(fault,)), "x", False)
+    output.print_result(Result(None, findings=findings, faults=(fault,)), "x", False)
     assert capsys.readouterr().err.startswith("warning: encoders elbow: drifting")
 
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import click
 import pytest
 from bodylog_cli.commands import bodylog
-from bodylog_cli.options import Folder, Named, OutputFile, Searched
+from bodylog_cli.options import Folder, NamedPath, OutputFile, Searched
 
-from bodylog.checks import distinct
+from bodylog.checks import require_distinct_paths
 from bodylog.errors import UsageError
 from bodylog.io import outputs
-from bodylog.io.outputs import Output, guard
+from bodylog.io.outputs import Output, guard_outputs
 from bodylog.settings import Settings
 from bodylog.sources import TableSource
 
@@ -24,7 +24,7 @@ def _is_output(param):
 
 
 def _is_input(param):
-    return isinstance(param.type, Named) and not _is_output(param)
+    return isinstance(param.type, NamedPath) and not _is_output(param)
 
 
 PAIRS = [
@@ -45,7 +45,7 @@ def test_output_options_have_an_output_type():
             writes = {"-o", "--output"} & set(param.opts) or "write" in shown or "draw" in shown or "out." in place
             if writes and not _is_output(param):
                 wrong.append((command.name, param.opts))
-            if isinstance(param.type, click.Path) and not isinstance(param.type, Named):
+            if isinstance(param.type, click.Path) and not isinstance(param.type, NamedPath):
                 wrong.append((command.name, param.opts))
     assert not wrong, wrong
     assert {command.name for command, *_ in PAIRS} >= {
@@ -145,15 +145,15 @@ def test_output_refuses_every_file_of_a_recording(tmp_path):
     (run / "more").symlink_to(elsewhere.parent)
     for out in (run / "metadata.yaml", run / "run_1.db3", elsewhere, run / "run_0.db3-wal"):
         with pytest.raises(UsageError, match="of an input"):
-            guard([run / "run_0.db3"], [Output(out)])
-    guard([run / "run_0.db3"], [Output(run / "tidy.mcap")])
+            guard_outputs([run / "run_0.db3"], [Output(out)])
+    guard_outputs([run / "run_0.db3"], [Output(run / "tidy.mcap")])
     for out in (elsewhere, elsewhere.parent / "new.mcap", run / "more" / "new.mcap"):
         with pytest.raises(UsageError, match=r"of an input|inside an input"):
-            guard([run], [Output(out)])
+            guard_outputs([run], [Output(out)])
     for folder in (elsewhere.parent, tmp_path):
         with pytest.raises(UsageError, match=r"of an input|holds an input"):
-            guard([run], [Output(folder, "--csv", folder=True)])
-    guard([run], [Output(tmp_path / "run.mcap"), Output(tmp_path / "tables", "--csv", folder=True)])
+            guard_outputs([run], [Output(folder, "--csv", folder=True)])
+    guard_outputs([run], [Output(tmp_path / "run.mcap"), Output(tmp_path / "tables", "--csv", folder=True)])
 
 
 def test_names_that_differ_in_case_alone_are_one_where_the_disk_says_so(tmp_path, monkeypatch):
@@ -161,12 +161,12 @@ def test_names_that_differ_in_case_alone_are_one_where_the_disk_says_so(tmp_path
     run, stat = _rosbag2(tmp_path / "run"), os.stat
     monkeypatch.setattr(os, "stat", lambda path, **how: stat(os.fspath(path).lower().replace("é", "e"), **how))
     monkeypatch.setattr(outputs.os.path, "realpath", os.path.abspath)
-    if outputs.key(tmp_path) is None:
+    if outputs.path_identity(tmp_path) is None:
         pytest.skip("the tests' folder itself has capitals in its name")
     for out in (tmp_path / "RUN" / "new.mcap", tmp_path / "Run" / "Run_0.DB3", tmp_path / "RUN"):
         with pytest.raises(UsageError, match="input"):
-            guard([run], [Output(out)])
-    guard([run], [Output(tmp_path / "RUN2.mcap")])
+            guard_outputs([run], [Output(out)])
+    guard_outputs([run], [Output(tmp_path / "RUN2.mcap")])
 
 
 def test_output_refuses_a_video_from_the_settings(tmp_path, capsys, run_cli, robot):
@@ -182,7 +182,7 @@ def test_output_refuses_a_table_from_the_settings(tmp_path):
     settings = Settings(features={"finger": TableSource("tracks.csv")})
     (tmp_path / "tracks.csv").touch()
     with pytest.raises(UsageError, match="is also an input"):
-        distinct([tmp_path / "run.mcap"], [Output(tmp_path / "tracks.csv")], settings)
+        require_distinct_paths([tmp_path / "run.mcap"], [Output(tmp_path / "tracks.csv")], settings)
 
 
 def test_output_refuses_a_file_url_of_an_input(tmp_path, capsys, run_cli, robot):
@@ -235,4 +235,4 @@ def test_images_that_a_table_of_poses_names_are_inputs(tmp_path):
     (tmp_path / "images" / "a.png").write_bytes(b"\x89PNG")
     (tmp_path / "poses.csv").write_text("elbow,image\n0.1,images/a.png\n")
     with pytest.raises(UsageError, match="also an input"):
-        distinct([tmp_path / "poses.csv"], [Output(tmp_path / "images" / "a.png")], Settings())
+        require_distinct_paths([tmp_path / "poses.csv"], [Output(tmp_path / "images" / "a.png")], Settings())

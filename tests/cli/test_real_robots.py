@@ -36,7 +36,7 @@ def test_a_body_that_knows_nothing_is_refused(real, tmp_path, run_cli, capsys) -
     assert not body.exists()
 
 
-def test_who_gave_a_urdf_is_told_why_it_did_not_help(real, tmp_path, run_cli, capsys) -> None:
+def test_fit_explains_why_a_given_urdf_did_not_help(real, tmp_path, run_cli, capsys) -> None:
     panda, other = real / "panda", tmp_path / "other.urdf"
     other.write_text((panda / "panda.urdf").read_text().replace("0 -0.316 0", "0 -3.16 0"))
     config = tmp_path / "robot.toml"
@@ -77,5 +77,5 @@ def test_a_log_without_skin_has_no_hand_and_only_what_is_named_is_looked_for(
     assert "red square: hand" not in page and ">hand<" not in page
 
 
-def test_a_joint_that_was_not_learned_is_told_without_asking(franka) -> None:
+def test_fit_reports_a_joint_that_was_not_learned(franka) -> None:
     assert "not over panda_joint3" in franka[1] and "error bars are" in franka[1] and "°" in franka[1]

@@ -68,12 +68,12 @@ def test_fit_says_what_a_log_without_images_lacks(tmp_path, capsys, run_cli, log
     packets = Stream("/film", kind, define("std_msgs/msg/String"), [(T0, cdr("std_msgs/msg/String", data="x"))])
     stream = joints("/joint_states", [(T0 + k, joint_state(T0 + k, ("pan",), [0.1 * k])) for k in range(9)])
     film = write(tmp_path / "film.mcap", [stream, packets])
-    said = {
+    expected_errors = {
         blind: (" for 4.0 s; a body is learned from joints and ", f"type: bodylog estimate {blind} -o out.mcap\n"),
         poses: (" in 3 poses; ", ": add columns NAME_u and NAME_v (px) of a marker, or "),
         film: ("only 1 joint (pan)", "; /film holds a video's packets, not images; "),
     }
-    for log, texts in said.items():
+    for log, texts in expected_errors.items():
         capsys.readouterr()
         assert run_cli("fit", log, "-o", tmp_path / "out.npz") == 65
         printed = capsys.readouterr().err
@@ -114,7 +114,7 @@ def test_pipe_is_refused_without_waiting(tmp_path, robot, typed):
 
 @pytest.mark.parametrize("thing", ["something green", "tag 7 of apriltag_36h11"])
 def test_estimate_says_what_the_body_looks_for_and_never_sees(tmp_path, capsys, run_cli, robot, thing):
-    body, bare = storage.load(robot / "body.npz"), np.full((120, 160, 3), 90, np.uint8)
+    body, bare = storage.load_body(robot / "body.npz"), np.full((120, 160, 3), 90, np.uint8)
     log = _log(tmp_path / "bare.mcap", count=60, picture=bare)
     if "tag" in thing:
         settings = json.loads(body.provenance["settings"]) | {"features": {"effector": {"tag": 7}}}
@@ -124,7 +124,7 @@ def test_estimate_says_what_the_body_looks_for_and_never_sees(tmp_path, capsys, 
     typed = ("estimate", log, "--body", tmp_path / "body.npz", "-o", tmp_path / "out.mcap")
     assert run_cli(*typed) == 3
     printed = capsys.readouterr().err
-    told = f"lost: the body looks for {thing} (effector); it was never seen in 60 images: "
-    assert f"{told}the estimate is of the encoders alone\n" in printed
+    expected_error = f"lost: the body looks for {thing} (effector); it was never seen in 60 images: "
+    assert f"{expected_error}the estimate is of the encoders alone\n" in printed
     assert run_cli(*typed, "--without", "vision") == 0
     assert "never seen" not in capsys.readouterr().err

@@ -63,16 +63,16 @@ def test_tag_and_point_have_their_stated_precision(tagged) -> None:
     import numpy as np
 
     from bodylog import logs, pipeline
-    from bodylog.config import merge
+    from bodylog.config import merge_settings
     from bodylog.settings import Settings
 
     truth = logs.open(tagged / "log.mcap")["/truth/effector_pixel"]
-    settings = merge(Settings(), {"features": {"wrist": {"tag": 7}}}, "here")
+    settings = merge_settings(Settings(), {"features": {"wrist": {"tag": 7}}}, "here")
     read, found = pipeline.observe(tagged / "log.mcap", settings)
     wrist = found.tracks["wrist"]
     first = int(np.flatnonzero(np.isfinite(wrist.values[:, 0]))[0])
     given = {"tip": {"point": wrist.values[first].tolist(), "at": float(wrist.t[first])}}
-    tip = pipeline.observe(tagged / "log.mcap", merge(Settings(), {"features": given}, "here"))[1].tracks["tip"]
+    tip = pipeline.observe(tagged / "log.mcap", merge_settings(Settings(), {"features": given}, "here"))[1].tracks["tip"]
     t = (truth["header.stamp"] - read.start_ns) / 1e9
     true = np.column_stack([np.interp(wrist.t, t, truth[axis]) for axis in ("point.x", "point.y")])
     known = np.abs(wrist.t[:, None] - t).min(axis=1) < 1e-3  # there is no truth while a part is out of view

@@ -78,8 +78,8 @@ def test_a_damaged_file_gives_a_row_that_says_so(dataset: Path, tmp_path: Path, 
     codes = [row["exit_code"] for row in rows]
     assert codes == ([0, 65, 0] if damaged == "table" else [0, 3, 0])
     assert code == codes[1]
-    said = rows[1]["error"] or " ".join(text for severity, text in rows[1]["findings"] if severity == "lost")
-    assert "episode_000001" in said
+    row_error = rows[1]["error"] or " ".join(text for severity, text in rows[1]["findings"] if severity == "lost")
+    assert "episode_000001" in row_error
 
 
 def test_a_broken_bound_ends_with_4_and_is_a_failure(dataset: Path, tmp_path: Path, run_cli: Any) -> None:

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'bodylog[datasets]'")
 
 from bodylog.dataset.examination import examine_episode
-from bodylog.dataset.judgement import DatasetJudgement, judge
+from bodylog.dataset.judgement import DatasetJudgement, judge_episodes
 from bodylog.io import episodes
 from bodylog.settings import Settings
 
@@ -20,7 +20,7 @@ FAULTY = 4
 
 def examined(folder: Path, stored: int, number: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """The row and the evidence of episode `number`, which is stored as episode `stored`."""
-    result, evidence = examine_episode(episodes.named(folder, stored), Settings(), str(number))
+    result, evidence = examine_episode(episodes.name_episode(folder, stored), Settings(), str(number))
     scores = {one.name: one.value for one in result.scores}
     findings = [[one.severity, one.text] for one in result.findings]
     row = {
@@ -35,7 +35,7 @@ def examined(folder: Path, stored: int, number: int) -> tuple[dict[str, Any], di
 
 def judged(found: dict[int, tuple[dict[str, Any], dict[str, Any]]]) -> DatasetJudgement:
     """The judgement on rows and evidence by episode."""
-    return judge(
+    return judge_episodes(
         [row for row, _ in found.values()], {str(number): one for number, (_, one) in found.items()}
     )
 

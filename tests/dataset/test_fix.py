@@ -44,7 +44,7 @@ def with_second_camera(folder: Path) -> Path:
 def squares(folder: Path, number: int, camera: str) -> list[int]:
     """The place of the drawn square, which tells the source's frame, in each image of an episode
     as bodylog reads it, and its row's time."""
-    with open_lerobot(episodes.named(folder, number)) as log:
+    with open_lerobot(episodes.name_episode(folder, number)) as log:
         one = next(c for c in log.cameras.values() if c.metadata["bodylog.feature"] == camera)
         images = [image for _, image in one.read()]
         assert len(images) == len(one.ns)

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from bodylog.body_model import BodyModel, Noise, TouchConstants
-from bodylog.estimation.inference.problem import Problem
+from bodylog.estimation.inference.problem import FilterProblem
 from bodylog.estimation.methods import filtering
 from bodylog.types import Array, Features, Series, Synchrony, Touch
 
@@ -204,7 +204,7 @@ def white_jerk(monkeypatch: pytest.MonkeyPatch) -> Array:
     """Motion of order 3 with these densities, whatever the evidence."""
     process = np.array([9.0, 15.0, 30.0])
 
-    def jerk(problem: Problem) -> Problem:
+    def jerk(problem: FilterProblem) -> FilterProblem:
         return replace(problem, precision=replace(problem.precision, order=3, process=process))
 
     monkeypatch.setattr(filtering, "with_preferred_order", jerk)

@@ -50,7 +50,7 @@ class Fault:
 
 def learned(seed: int, mechanism: Mechanism) -> BodyModel:
     """The body learned from 40 s of babbling."""
-    return body.learn([replayed(seed, mechanism, Fault(), duration=40.0)], Settings(), {}).model
+    return body.learn_body([replayed(seed, mechanism, Fault(), duration=40.0)], Settings(), {}).model
 
 
 def replayed(

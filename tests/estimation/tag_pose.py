@@ -13,8 +13,8 @@ import numpy as np
 from bodylog.body_model import BodyModel, ForwardModel
 from bodylog.estimation.measurements.contract import Measured
 from bodylog.estimation.measurements.records import Sighting
-from bodylog.kinematics.camera import project
-from bodylog.kinematics.rotations import exponential, left_jacobian, logarithm, nearest, skew
+from bodylog.kinematics.camera import project_points
+from bodylog.kinematics.rotations import rotation_from_vector, left_jacobian, vector_from_rotation, nearest_rotation, cross_product_matrix
 from bodylog.types import Array, Features, Health, Series
 
 ROWS = ("x", "y", "z", "rx", "ry", "rz")
@@ -133,10 +133,10 @@ def _descended(corners: Array, var: Array, points: Array, lens: Array, at: Array
         left, scaled = (corners - image).ravel(), slope / var[:, None]
         information = scaled.T @ slope
         step = np.linalg.solve(information, scaled.T @ left)
-        at, turn = at + step[:3], exponential(step[3:]) @ turn
+        at, turn = at + step[:3], rotation_from_vector(step[3:]) @ turn
         if np.abs(step).max() < STILL:
             break
-    vector = logarithm(turn)
+    vector = vector_from_rotation(turn)
     # from a small rotation to a change of the rotation vector
     local = np.eye(6)
     local[3:, 3:] = np.linalg.inv(left_jacobian(vector))
@@ -148,8 +148,8 @@ def _descended(corners: Array, var: Array, points: Array, lens: Array, at: Array
 def _projected(points: Array, lens: Array, at: Array, turn: Array) -> tuple[Array, Array]:
     """Image points (4,2) px and their derivatives (8,6) by the tag's position and rotation."""
     arms = points @ turn.T
-    image, by_point, _ = project(arms + at, lens)
-    slope = np.concatenate([by_point, by_point @ -skew(arms)], axis=2)
+    image, by_point, _ = project_points(arms + at, lens)
+    slope = np.concatenate([by_point, by_point @ -cross_product_matrix(arms)], axis=2)
     return image, slope.reshape(-1, 6)
 
 
@@ -164,11 +164,11 @@ def _start(corners: Array, points: Array, lens: Array) -> tuple[Array, Array]:
     homography = homography / (0.5 * np.linalg.norm(homography[:, :2], axis=0).sum())
     homography = homography * np.sign(homography[2, 2])
     first, second = homography[:, 0], homography[:, 1]
-    return homography[:, 2], nearest(np.column_stack([first, second, np.cross(first, second)]))
+    return homography[:, 2], nearest_rotation(np.column_stack([first, second, np.cross(first, second)]))
 
 
 def _mirrored(pose: Array) -> tuple[Array, Array]:
     """Position and rotation of the pose whose normal is mirrored about the line of sight."""
-    at, turn = pose[:3], exponential(pose[3:])
+    at, turn = pose[:3], rotation_from_vector(pose[3:])
     sight = at / np.linalg.norm(at)
     return at, (2.0 * np.outer(sight, sight) - np.eye(3)) @ turn @ np.diag([-1.0, -1.0, 1.0])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bodylog import body, pipeline
-from bodylog.estimation import estimate
-from bodylog.evaluation.scores import scores
-from bodylog.settings import Estimation, Settings
+from bodylog.estimation import estimate_from_features
+from bodylog.evaluation.scores import score_angles
+from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Series
 
 ARM = Path(__file__).parents[2].parent / "shared" / "logs" / "arm"
@@ -31,7 +31,7 @@ def seen():
 
 @pytest.fixture(scope="module")
 def learned(seen):
-    return body.learn([seen("explore.mcap")[1]], Settings(), {}).model
+    return body.learn_body([seen("explore.mcap")[1]], Settings(), {}).model
 
 
 def truth_of(name, recording):
@@ -42,8 +42,8 @@ def truth_of(name, recording):
 
 def scored(seen, learned, name, method="laplace"):
     recording, features = seen(name)
-    found = estimate(features, learned, Estimation(method=method))
-    return found, {s.name: s.value for s in scores(found, truth_of(name, recording), features.joints)}
+    found = estimate_from_features(features, learned, EstimationSettings(method=method))
+    return found, {s.name: s.value for s in score_angles(found, truth_of(name, recording), features.joints)}
 
 
 @pytest.mark.parametrize("name", ATTAINABLE)
@@ -80,7 +80,7 @@ def test_estimate_names_no_fault_in_sound_logs(seen, learned, name):
 @pytest.mark.parametrize("name", ["reach.mcap", "drift.mcap"])
 def test_paper_preset_runs_to_the_end(seen, learned, name):
     _, features = seen(name)
-    found = estimate(features, learned, Estimation(method="predictive-coding", preset="paper"))
+    found = estimate_from_features(features, learned, EstimationSettings(method="predictive-coding", preset="paper"))
     assert np.abs(found.joints.values).max() < 3.0
 
 
@@ -94,19 +94,19 @@ def displaced(found, truth, model, touches):
 
 
 def test_touch_corrects_a_wrong_start_only_when_synchronous(seen):
-    model = body.learn([seen(name)[1] for name in ("explore.mcap", "touch.mcap")], Settings(), {}).model
+    model = body.learn_body([seen(name)[1] for name in ("explore.mcap", "touch.mcap")], Settings(), {}).model
     shift = 0.1
     error = {}
     for name in ("touch.mcap", "touch_async.mcap"):
         recording, features = seen(name)
         truth = truth_of(name, recording)
         start = truth.values[0, [NAMES.index(joint) for joint in model.joints]] + shift
-        settings = Estimation(without=("encoders", "vision"), start=tuple(start))
-        found = estimate(features, model, settings)
+        settings = EstimationSettings(without=("encoders", "vision"), start=tuple(start))
+        found = estimate_from_features(features, model, settings)
         health = found.used["touch"]
         assert health.used == (health.seen if name == "touch.mcap" else 0)
         assert sum(health.rejected.values()) == health.seen - health.used
-        joints = {s.name: s.value for s in scores(found, truth, None)}["rmse/joint"]
+        joints = {s.name: s.value for s in score_angles(found, truth, None)}["rmse/joint"]
         error[name] = np.array([displaced(found, truth, model, features.touches), joints])
     apart = model.senses["effector"].predict(np.stack([start, start - shift]))[0]
     wrong = np.array([np.sqrt(np.mean((apart[0] - apart[1]) ** 2)), 0.1])
@@ -119,8 +119,8 @@ def test_touch_corrects_a_wrong_start_only_when_synchronous(seen):
 @pytest.mark.soak
 def test_estimate_by_images_alone_stays_in_the_explored_range(seen, learned):
     recording, features = seen("reach.bag")
-    found = estimate(features, learned, Estimation(senses=("vision",)))
-    error = {s.name: s.value for s in scores(found, truth_of("reach.bag", recording), None)}
+    found = estimate_from_features(features, learned, EstimationSettings(senses=("vision",)))
+    error = {s.name: s.value for s in score_angles(found, truth_of("reach.bag", recording), None)}
     assert np.abs(found.joints.values).max() < 2.0
     assert error["rmse/joint"] < 0.5
     assert error["rmse/innovation/effector"] < 10.0

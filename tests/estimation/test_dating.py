@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bodylog.errors import ModelError, UsageError
-from bodylog.estimation import METHODS, estimate
-from bodylog.evaluation.heldout import held_out, withhold
+from bodylog.estimation import METHODS, estimate_from_features
+from bodylog.evaluation.heldout import score_withheld_frames, withhold_frames
 from bodylog.evaluation.scores import against_truth
-from bodylog.settings import Estimation
+from bodylog.settings import EstimationSettings
 from tests.estimation.test_delay import delayed
 
 
@@ -45,8 +45,8 @@ def with_side(drawn):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_delay_correction_leaves_sound_logs_unchanged(world, method):
-    drawn, settings = world(0, duration=8.0), Estimation(method=method)
-    auto, off = (estimate(drawn.features, drawn.body, settings, delay) for delay in ("auto", "off"))
+    drawn, settings = world(0, duration=8.0), EstimationSettings(method=method)
+    auto, off = (estimate_from_features(drawn.features, drawn.body, settings, delay) for delay in ("auto", "off"))
     assert not delay_texts(auto) and "delay" not in auto.settings
     for one in ("joints", "rate"):
         assert np.array_equal(getattr(auto, one).values, getattr(off, one).values)
@@ -56,11 +56,11 @@ def test_delay_correction_leaves_sound_logs_unchanged(world, method):
 @pytest.mark.parametrize("method", ["laplace", "smoother", pytest.param("ekf", marks=pytest.mark.soak)])
 @pytest.mark.parametrize("seconds", [-0.1, 0.05, pytest.param(0.2, marks=pytest.mark.soak)])
 def test_delay_is_reported_and_corrected(world, method, seconds):
-    settings, truly, found_to_be = Estimation(method=method), [], []
+    settings, truly, found_to_be = EstimationSettings(method=method), [], []
     for seed in range(3):
         drawn = world(seed, camera_hz=20.0)
         features = delayed(drawn.features, seconds)
-        found = estimate(features, drawn.body, settings)
+        found = estimate_from_features(features, drawn.body, settings)
         (text,) = delay_texts(found)
         assert text.startswith("camera: image timestamps ") and "--delay off" in text
         assert (" lag the encoders" in text) == (seconds > 0)
@@ -68,10 +68,10 @@ def test_delay_is_reported_and_corrected(world, method, seconds):
         track = features.tracks["effector"]
         assert np.array_equal(found.predicted["effector"].t, track.t)
         assert np.array_equal(found.errors["effector"].t, track.t)
-        truly.append(nees(estimate(drawn.features, drawn.body, settings), drawn))
+        truly.append(nees(estimate_from_features(drawn.features, drawn.body, settings), drawn))
         found_to_be.append(nees(found, drawn))
         # with a long delay the images' noise is learned so large that error bars are true, but errors are larger
-        left = estimate(features, drawn.body, replace(settings, bias="off"), "off")
+        left = estimate_from_features(features, drawn.body, replace(settings, bias="off"), "off")
         assert score(left, drawn, "rmse/joint") > 1.3 * score(found, drawn, "rmse/joint")
     assert np.mean(found_to_be) == pytest.approx(np.mean(truly), abs=0.2)
 
@@ -79,7 +79,7 @@ def test_delay_is_reported_and_corrected(world, method, seconds):
 def test_delay_is_measured_for_each_camera(world):
     drawn = with_side(world(1, camera_hz=20.0))
     for own in ({"": 0.05, "side": -0.03}, {"": 0.0, "side": 0.04}, {"": 0.06, "side": 0.06}):
-        found = estimate(delayed(drawn.features, own), drawn.body, Estimation())
+        found = estimate_from_features(delayed(drawn.features, own), drawn.body, EstimationSettings())
         by_name = {name or "camera": seconds for name, seconds in own.items() if seconds}
         assert found.settings["delay"] == pytest.approx(by_name, abs=0.01)
         assert sorted(text.partition(":")[0] for text in delay_texts(found)) == sorted(by_name)
@@ -88,30 +88,30 @@ def test_delay_is_measured_for_each_camera(world):
 def test_given_delays_are_used_and_contradicted_where_the_log_knows_better(world):
     drawn = world(2, camera_hz=20.0)
     features = delayed(drawn.features, 0.05)
-    right = estimate(features, drawn.body, Estimation(), {"camera": 0.05})
-    sound = estimate(drawn.features, drawn.body, Estimation())
+    right = estimate_from_features(features, drawn.body, EstimationSettings(), {"camera": 0.05})
+    sound = estimate_from_features(drawn.features, drawn.body, EstimationSettings())
     assert not delay_texts(right) and right.settings["delay"] == {"camera": 0.05}
     np.testing.assert_allclose(right.joints.values, sound.joints.values, atol=1e-9)
     np.testing.assert_allclose(right.cov, sound.cov, atol=1e-12)
     off = "not corrected"
     for given, named in (({"camera": 0.0}, off), ({"camera": 0.12}, "--delay camera=0.12"), ("off", off)):
-        wrong = estimate(features, drawn.body, Estimation(bias="off"), given)
+        wrong = estimate_from_features(features, drawn.body, EstimationSettings(bias="off"), given)
         (text,) = delay_texts(wrong)
         assert named in text and float(text.rpartition("type --delay camera=")[2]) == pytest.approx(0.05, abs=0.01)
-    (text,) = delay_texts(estimate(drawn.features, drawn.body, Estimation(bias="off"), {"camera": 0.05}))
+    (text,) = delay_texts(estimate_from_features(drawn.features, drawn.body, EstimationSettings(bias="off"), {"camera": 0.05}))
     assert text.endswith("type --delay camera=0")  # independent of the delay that the log happens to show
     with pytest.raises(UsageError, match=r"delay: 'left' found, possible: joints, camera; type --delay camera=0\.05"):
-        estimate(features, drawn.body, Estimation(), {"left": 0.05})
+        estimate_from_features(features, drawn.body, EstimationSettings(), {"left": 0.05})
 
 
 def test_given_joint_delays_are_corrected(world):
     drawn = world(3, camera_hz=20.0, duration=10.0)
     joints = drawn.features.joints
     behind = replace(drawn.features, joints=replace(joints, t=joints.t + 0.05))
-    found = estimate(behind, drawn.body, Estimation(), {"joints": 0.05})
+    found = estimate_from_features(behind, drawn.body, EstimationSettings(), {"joints": 0.05})
     assert not delay_texts(found)
     np.testing.assert_allclose(found.joints.t, joints.t, atol=1e-12)
-    sound = nees(estimate(drawn.features, drawn.body, Estimation()), drawn)
+    sound = nees(estimate_from_features(drawn.features, drawn.body, EstimationSettings()), drawn)
     assert nees(found, drawn) == pytest.approx(sound, rel=1e-3)
 
 
@@ -119,26 +119,26 @@ def test_body_delay_applies_to_logs_consistent_with_it(world):
     drawn, still = world(4, camera_hz=20.0), world(4, speed=0.0, duration=6.0)
     body = replace(drawn.body, provenance={"delay": {"camera": 0.05}})
     for one in (drawn, still):
-        found = estimate(delayed(one.features, 0.05), body, Estimation())
+        found = estimate_from_features(delayed(one.features, 0.05), body, EstimationSettings())
         assert not delay_texts(found) and found.settings["delay"] == {"camera": 0.05}
         late = "camera: image timestamps lag the encoders by 0.0500 s"
         first, *rest = delay_texts(found, "info")
         assert first == f"{late}, as in the exploration log, corrected"
         assert all("0.0500 s corrected" in text and "not significant" in text for text in rest)
-    mended = estimate(drawn.features, body, Estimation())
+    mended = estimate_from_features(drawn.features, body, EstimationSettings())
     assert not delay_texts(mended) and "delay" not in mended.settings
-    other = estimate(delayed(drawn.features, -0.1), body, Estimation())
+    other = estimate_from_features(delayed(drawn.features, -0.1), body, EstimationSettings())
     assert other.settings["delay"]["camera"] == pytest.approx(-0.1, abs=0.01) and delay_texts(other)
     for wrong in ("late", {"camera": "late"}, {"camera": np.inf}, {"camera": True, "side": 1e9}):
         with pytest.raises(ModelError, match=r"provenance\.delay: found"):
-            estimate(drawn.features, replace(body, provenance={"delay": wrong}), Estimation())
+            estimate_from_features(drawn.features, replace(body, provenance={"delay": wrong}), EstimationSettings())
 
 
 def test_error_bars_include_the_delays_uncertainty(world):
     drawn = world(5, camera_hz=20.0)
     features = delayed(drawn.features, 0.06)
-    found = estimate(features, drawn.body, Estimation(method="smoother"))
-    given = estimate(features, drawn.body, Estimation(method="smoother"), found.settings["delay"])
+    found = estimate_from_features(features, drawn.body, EstimationSettings(method="smoother"))
+    given = estimate_from_features(features, drawn.body, EstimationSettings(method="smoother"), found.settings["delay"])
     more = np.einsum("ni,nj->nij", found.rate.values, found.rate.values) * found.settings["delay_std"]["camera"] ** 2
     np.testing.assert_allclose(found.cov, given.cov + more, atol=1e-15)
     assert (np.einsum("nii->n", more) > 0.0).mean() > 0.99
@@ -147,9 +147,9 @@ def test_error_bars_include_the_delays_uncertainty(world):
 def test_held_out_images_are_predicted_at_their_corrected_time(world):
     drawn = world(6, camera_hz=20.0)
     for senses in (None, ("encoders",)):
-        settings, density = Estimation(senses=senses), []
+        settings, density = EstimationSettings(senses=senses), []
         for features in (drawn.features, delayed(drawn.features, 0.1)):
-            fewer, withheld = withhold(features)
-            (score,) = held_out(estimate(fewer, drawn.body, settings), withheld, drawn.body)
+            fewer, withheld = withhold_frames(features)
+            (score,) = score_withheld_frames(estimate_from_features(fewer, drawn.body, settings), withheld, drawn.body)
             density.append(score.value)
         assert density[1] == pytest.approx(density[0], abs=0.1)

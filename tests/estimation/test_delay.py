@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation.faults.threshold import NATS
-from bodylog.estimation.timing.correction import measured_delays, significant
+from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
+from bodylog.estimation.timing.correction import measured_delays, is_significant
 
 
 def delayed(features, seconds):
@@ -43,7 +43,7 @@ def test_measured_delay_has_true_error_bars(world, camera_hz, encoder_hz):
         seconds = (-0.1, -0.05, -0.02, -0.005, 0.0, 0.005, 0.02, 0.05, 0.1, 0.3)[seed % 10]
         found = measured_delays(delayed(drawn.features, seconds), drawn.body)["camera"]
         off.append((found.seconds - seconds) / found.std_error)
-        assert found.nats > NATS if abs(seconds) >= 0.05 else seconds or found.nats < NATS
+        assert found.nats > EVIDENCE_THRESHOLD_NATS if abs(seconds) >= 0.05 else seconds or found.nats < EVIDENCE_THRESHOLD_NATS
     assert np.abs(off).max() < 4.0 and 0.7 < np.sqrt(np.mean(np.square(off))) < 1.4
 
 
@@ -62,7 +62,7 @@ def test_measured_delay_is_independent_of_other_faults(world, how, seconds):
     for seed in range(4):
         found = measured_delays(delayed(spoilt(world(seed, camera_hz=30.0), how), seconds), world(seed).body)["camera"]
         assert abs(found.seconds - seconds) < 4.0 * found.std_error + 1e-3
-        assert (found.nats > NATS) == (seconds > 0.0)
+        assert (found.nats > EVIDENCE_THRESHOLD_NATS) == (seconds > 0.0)
 
 
 def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
@@ -77,7 +77,7 @@ def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
                 for found in measured_delays(delayed(features, seconds), drawn.body).values():
                     count += 1
                     assert abs(found.seconds - seconds) < 4.0 * found.std_error
-                    assert (found.nats > NATS) == (seconds > 0.0)
+                    assert (found.nats > EVIDENCE_THRESHOLD_NATS) == (seconds > 0.0)
     assert count >= 12
 
 
@@ -118,7 +118,7 @@ def test_measured_delay_uses_all_of_a_long_log(world):
     still = (track.t > 15.0) & (track.t < 85.0)
     unseen = replace(track, values=np.where(still[:, None], np.nan, track.values))
     found = measured_delays(delayed(replace(drawn.features, tracks={"effector": unseen}), 0.05), drawn.body)["camera"]
-    assert abs(found.seconds - 0.05) < 4.0 * found.std_error and found.nats > NATS
+    assert abs(found.seconds - 0.05) < 4.0 * found.std_error and found.nats > EVIDENCE_THRESHOLD_NATS
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -129,4 +129,4 @@ def test_measured_delay_ignores_a_clock_step(world, seed, by):
     stepped = replace(drawn.features, joints=replace(joints, t=np.where(joints.t > 10.0, joints.t + by, joints.t)))
     found = measured_delays(stepped, drawn.body).get("camera")
     assert found is None or "halves of the log show" in found.doubt or "half of the log" in found.doubt
-    assert found is None or not significant(found)
+    assert found is None or not is_significant(found)

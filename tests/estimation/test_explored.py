@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bodylog.errors import ModelError
-from bodylog.estimation import estimate
-from bodylog.settings import Estimation
+from bodylog.estimation import estimate_from_features
+from bodylog.settings import EstimationSettings
 from bodylog.types import Array
 from tests.estimation.conftest import Arm, motion
 
@@ -30,7 +30,7 @@ def read(drawn, change):
 
 
 def range_texts(drawn, change):
-    found = estimate(read(drawn, change), drawn.body, Estimation())
+    found = estimate_from_features(read(drawn, change), drawn.body, EstimationSettings())
     return [f.text for f in found.findings if f.severity == "warning" and f.text.startswith("joints: ")]
 
 
@@ -43,12 +43,12 @@ def test_explored_angles_give_no_warning(drawn):
 @pytest.mark.parametrize("senses", [None, ("encoders",), ("elbow",)])
 def test_degrees_are_refused_with_what_to_type(drawn, method, senses):
     with pytest.raises(ModelError, match=r'these are degrees; type \[body\] unit = "deg" in robot.toml'):
-        estimate(read(drawn, np.rad2deg), drawn.body, Estimation(method=method, senses=senses))
+        estimate_from_features(read(drawn, np.rad2deg), drawn.body, EstimationSettings(method=method, senses=senses))
 
 
 def test_degrees_are_refused_where_encoders_only_give_the_start(drawn):
     with pytest.raises(ModelError, match="these are degrees"):
-        estimate(read(drawn, np.rad2deg), drawn.body, Estimation(senses=("vision",)))
+        estimate_from_features(read(drawn, np.rad2deg), drawn.body, EstimationSettings(senses=("vision",)))
 
 
 def test_degrees_are_not_inferred_near_zero_in_another_range(world):

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate
-from bodylog.estimation.faults.jumping import jumps, unwrapped
-from bodylog.estimation.faults.repeats import silent, stuck
-from bodylog.estimation.faults.threshold import NATS
+from bodylog.estimation import estimate_from_features
+from bodylog.estimation.faults.jumping import find_jumps, unwrap_turns
+from bodylog.estimation.faults.repeats import find_final_silence, find_frozen_readings
+from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.fault_findings import fault_warnings
-from bodylog.settings import Estimation
-from bodylog.verdict import of_estimate
+from bodylog.settings import EstimationSettings
+from bodylog.verdict import verdict_of_estimate
 from tests.estimation.conftest import Linear
 from tests.estimation.resting import Drawn, drawn, judged
 
@@ -71,7 +71,7 @@ HYPOTHESES = {
 )
 def test_faulty_encoder_is_named_and_replaced(world, change, kind, since, late, size):
     drawn = world(4, duration=13.0, encoder_std=0.005, pixel_std=0.5, camera_hz=30.0)
-    found = estimate(spoil(drawn, change), drawn.body, Estimation())
+    found = estimate_from_features(spoil(drawn, change), drawn.body, EstimationSettings())
     assert [(f.name, f.kind) for f in found.faults] == [("pan", kind)]
     assert since - 0.5 * late - 0.03 <= found.faults[0].since <= since + late
     assert found.faults[0].size == pytest.approx(size, abs=0.02)
@@ -84,11 +84,11 @@ def test_faulty_encoder_is_named_and_replaced(world, change, kind, since, late, 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_zeros_before_an_encoders_first_reading_are_removed(world, method, seed):
     drawn = world(seed, duration=8.0, encoder_std=0.002)
-    joints, settings, errors = drawn.features.joints, Estimation(method=method), []
+    joints, settings, errors = drawn.features.joints, EstimationSettings(method=method), []
     for late in ([], [2], [0, 1, 2]):
         values = joints.values.copy()
         values[np.ix_(joints.t < joints.t[0] + 0.3, late)] = 0.0
-        found = estimate(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, settings)
+        found = estimate_from_features(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, settings)
         assert sorted(f.name for f in found.faults) == sorted(joints.names[k] for k in late)
         assert all(f.kind == "glitch" and f.since < 0.05 for f in found.faults)
         each = (found.joints.values - drawn.truth.values) ** 2
@@ -101,14 +101,14 @@ def test_zeros_before_an_encoders_first_reading_are_removed(world, method, seed)
 def chosen(found):
     """Hypotheses of encoders that are chosen; each one wins the threshold."""
     won = [one for one in found.settings["hypotheses"] if one["chosen"] and one["name"].startswith("encoder")]
-    assert all(one["nats"] > one["threshold"] == NATS for one in won)
+    assert all(one["nats"] > one["threshold"] == EVIDENCE_THRESHOLD_NATS for one in won)
     return [(one["name"], one["about"]) for one in won]
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_every_hypothesis_stands_in_the_settings_of_a_sound_log(world, seed):
     drawn = world(seed, duration=10.0, encoder_std=0.01, camera_hz=20.0)
-    found = estimate(drawn.features, drawn.body, Estimation())
+    found = estimate_from_features(drawn.features, drawn.body, EstimationSettings())
     listed = [(one["name"], one["about"]) for one in found.settings["hypotheses"]]
     kinds = ("encoder frozen", "encoder dead", "encoder jumped", "encoder offset")
     cameras = [("camera late", "camera"), ("camera moved", "camera"), ("white jerk", "joints")]
@@ -119,9 +119,9 @@ def test_every_hypothesis_stands_in_the_settings_of_a_sound_log(world, seed):
 
 def test_encoder_step_is_weighed_against_a_wandering_offset(world):
     drawn = world(1, duration=14.0, encoder_std=0.01, camera_hz=20.0)
-    found = estimate(spoil(drawn, step), drawn.body, Estimation())
+    found = estimate_from_features(spoil(drawn, step), drawn.body, EstimationSettings())
     nats = {one["name"]: one["nats"] for one in found.settings["hypotheses"] if one["about"] == "pan"}
-    assert chosen(found) == [("encoder step", "pan")] and nats["encoder step"] > nats["encoder offset"] > NATS
+    assert chosen(found) == [("encoder step", "pan")] and nats["encoder step"] > nats["encoder offset"] > EVIDENCE_THRESHOLD_NATS
 
 
 @pytest.mark.parametrize("method", ["kalman", "predictive-coding"])
@@ -129,13 +129,13 @@ def test_encoder_step_is_weighed_against_a_wandering_offset(world):
 def test_methods_without_repair_name_faults_by_readings_alone(world, method, change, kind):
     drawn = world(4, duration=13.0, encoder_std=0.005, pixel_std=0.5, camera_hz=30.0)
     features = drawn.features if change is None else spoil(drawn, change)
-    found = estimate(features, drawn.body, Estimation(method=method))
+    found = estimate_from_features(features, drawn.body, EstimationSettings(method=method))
     assert [(f.name, f.kind) for f in found.faults] == ([("pan", kind)] if kind else [])
 
 
 def test_sharp_images_do_not_hide_a_drift(world):
     drawn = world(1, duration=14.0, encoder_std=0.01, pixel_std=0.05, camera_hz=20.0)
-    (fault,) = estimate(spoil(drawn, drift), drawn.body, Estimation()).faults
+    (fault,) = estimate_from_features(spoil(drawn, drift), drawn.body, EstimationSettings()).faults
     assert (fault.name, fault.kind) == ("pan", "drifting")
     assert 6.0 < fault.since < 7.5 + 2.0  # 0.03 rad off at 7.5 s
 
@@ -143,7 +143,7 @@ def test_sharp_images_do_not_hide_a_drift(world):
 @pytest.mark.parametrize("seed", [2, 3])
 def test_encoder_step_is_not_attributed_to_blurred_images(world, seed):
     drawn = world(seed, duration=16.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
-    found = estimate(spoil(drawn, step), drawn.body, Estimation())
+    found = estimate_from_features(spoil(drawn, step), drawn.body, EstimationSettings())
     assert [fault.name for fault in found.faults] == ["pan"]
     assert found.faults[0].size == pytest.approx(0.1, abs=0.02)
     assert np.sqrt(np.mean((found.joints.values - drawn.truth.values)[:, 0] ** 2)) < 0.015
@@ -152,20 +152,20 @@ def test_encoder_step_is_not_attributed_to_blurred_images(world, seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_sound_encoders_have_no_fault(world, seed):
     drawn = world(seed, duration=12.0, hidden=(6.0, 8.0), blunder=0.02)
-    assert not estimate(drawn.features, drawn.body, Estimation()).faults
+    assert not estimate_from_features(drawn.features, drawn.body, EstimationSettings()).faults
 
 
 def test_frozen_encoder_adds_less_than_three_milliradians(world):
     for joint in ("pan", "lift", "elbow"):
         drawn = world(0, duration=16.0, encoder_std=0.001, pixel_std=0.5, camera_hz=30.0)
-        found = estimate(spoil(drawn, freeze, joint), drawn.body, Estimation())
+        found = estimate_from_features(spoil(drawn, freeze, joint), drawn.body, EstimationSettings())
         assert [(fault.name, fault.kind) for fault in found.faults] == [(joint, "frozen")]
         assert np.sqrt(np.mean((found.joints.values - drawn.truth.values) ** 2)) < 3e-3
 
 
 def frozen(t, y):
     """Stretches of repeats that are a fault by the readings alone."""
-    return [one[1:3] for one in stuck(t, y, lambda begin, end: 0.0) if one.nats > NATS]
+    return [one[1:3] for one in find_frozen_readings(t, y, lambda begin, end: 0.0) if one.nats > EVIDENCE_THRESHOLD_NATS]
 
 
 def test_frozen_ignores_an_ideal_encoder_at_rest():
@@ -181,9 +181,9 @@ def test_jumps_ignores_a_single_spike():
     y = np.random.default_rng(1).normal(0, 0.01, 400)
     t = np.arange(400) / 50.0
     y[200] += 1.0
-    assert jumps(t, y) == []
+    assert find_jumps(t, y) == []
     y[250:] += 0.5
-    ((at, size, _),) = jumps(t, y)
+    ((at, size, _),) = find_jumps(t, y)
     assert at == 250 and size == pytest.approx(0.5, abs=0.05)
 
 
@@ -191,26 +191,26 @@ def test_jumps_ignores_a_new_angle_after_a_gap():
     t = np.arange(0.0, 20.0, 0.02)
     y = np.sin(t) + np.random.default_rng(2).normal(0, 0.01, len(t))
     read = (t < 6.0) | (t > 9.0)
-    assert jumps(t[read], y[read]) == []
-    assert jumps(t, np.where(read, y, np.nan)) == []
+    assert find_jumps(t[read], y[read]) == []
+    assert find_jumps(t, np.where(read, y, np.nan)) == []
 
 
 def test_jumps_ignores_the_steps_of_a_coarse_encoder():
     t = np.arange(0.0, 20.0, 0.02)
     y = np.round(0.2 * np.sin(t / 2) / 0.01) * 0.01
     assert np.mean(np.diff(y) == 0.0) > 0.5
-    assert jumps(t, y) == []
+    assert find_jumps(t, y) == []
     y[600:] += 0.3
-    ((at, size, _),) = jumps(t, y)
+    ((at, size, _),) = find_jumps(t, y)
     assert at == 600 and size == pytest.approx(0.3, abs=0.02)
 
 
 def test_offsets_on_request_are_reported_for_every_joint(world):
     drawn = world(0, duration=6.0)
-    found = estimate(drawn.features, drawn.body, Estimation(bias="on"))
+    found = estimate_from_features(drawn.features, drawn.body, EstimationSettings(bias="on"))
     assert found.bias is not None and found.bias.names == drawn.body.joints
     assert np.abs(found.bias.values).max() < 0.05
-    assert estimate(drawn.features, drawn.body, Estimation(bias="off")).bias is None
+    assert estimate_from_features(drawn.features, drawn.body, EstimationSettings(bias="off")).bias is None
 
 
 def test_frozen_ignores_an_encoder_that_dithers_before_resting():
@@ -224,27 +224,27 @@ def test_frozen_ignores_an_encoder_that_dithers_before_resting():
 def test_jumps_ignores_a_fast_joint():
     t = np.arange(0.0, 10.0, 0.055)
     servo = np.where(t < 5.0, 0.3, 0.35) + 0.2 * (t > 7.0)
-    assert jumps(t, np.round(servo / 1.5e-3) * 1.5e-3) == []
+    assert find_jumps(t, np.round(servo / 1.5e-3) * 1.5e-3) == []
     slow = np.repeat(np.sin(np.arange(0.0, 20.0, 0.05)), 25)  # read at 500 Hz, sampled at 20 Hz
-    assert jumps(np.arange(len(slow)) * 2e-3, slow) == []
+    assert find_jumps(np.arange(len(slow)) * 2e-3, slow) == []
 
 
 def test_whole_turns_are_unwrapped_and_are_no_jumps(world):
     y = np.linspace(0.0, 20.0, 500)
     wrapped = (y + np.pi) % (2.0 * np.pi) - np.pi
-    np.testing.assert_allclose(unwrapped(wrapped), y, atol=1e-9)
+    np.testing.assert_allclose(unwrap_turns(wrapped), y, atol=1e-9)
     sound = world(0, duration=8.0)
     features = spoil(sound, lambda t, v: np.copyto(v, np.where(t > 4.0, v - 2.0 * np.pi, v)))
-    assert not estimate(features, sound.body, Estimation()).faults
+    assert not estimate_from_features(features, sound.body, EstimationSettings()).faults
 
 
 def test_silent_ignores_an_encoder_with_rare_readings():
     t = np.arange(0.0, 10.0, 0.02)
     seldom = np.where(np.arange(len(t)) % 40 == 0, 0.1, np.nan)
     seldom[t > 8.9] = np.nan
-    assert silent(t, seldom).nats < NATS
-    dead = silent(t, np.where(t < 6.0, 0.1, np.nan))
-    assert t[dead.begin] == pytest.approx(5.98) and dead.nats > NATS
+    assert find_final_silence(t, seldom).nats < EVIDENCE_THRESHOLD_NATS
+    dead = find_final_silence(t, np.where(t < 6.0, 0.1, np.nan))
+    assert t[dead.begin] == pytest.approx(5.98) and dead.nats > EVIDENCE_THRESHOLD_NATS
 
 
 @pytest.mark.parametrize("moves", ["sines", "reach"])
@@ -254,7 +254,7 @@ def test_images_separate_a_frozen_encoder_from_a_coarse_one_at_rest(moves, joint
     errors, squares = [], []
     for seed in range(2):
         sound = drawn(seed, Drawn(moves, 1.5e-3, noise))
-        found = estimate(spoil(sound, freeze, sound.features.joints.names[joint]), sound.body, Estimation())
+        found = estimate_from_features(spoil(sound, freeze, sound.features.joints.names[joint]), sound.body, EstimationSettings())
         assert [(f.name, f.kind) for f in found.faults] == [(sound.features.joints.names[joint], "frozen")]
         error, nees = judged(sound, found.joints, found.cov)
         errors, squares = [*errors, error], [*squares, nees]
@@ -264,7 +264,7 @@ def test_images_separate_a_frozen_encoder_from_a_coarse_one_at_rest(moves, joint
 @pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])
 def test_constant_offset_is_found_over_the_whole_log(world, joint):
     drawn = world(0, duration=16.0, encoder_std=0.01)
-    (fault,) = estimate(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, Estimation()).faults
+    (fault,) = estimate_from_features(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, EstimationSettings()).faults
     assert fault.name == joint and fault.size == pytest.approx(0.0873, abs=0.004)
 
 
@@ -273,7 +273,7 @@ def test_constant_offset_is_found_over_the_whole_log(world, joint):
 def test_ambiguous_joints_are_both_named_without_a_size(world, joint, named, seed):
     similar = Linear(np.array([[300.0, 120.0, 120.0], [15.0, 250.0, 250.0]]), np.array([160.0, 120.0]))
     drawn = world(seed, duration=16.0, encoder_std=0.01, model=similar)
-    (fault,) = estimate(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, Estimation()).faults
+    (fault,) = estimate_from_features(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, EstimationSettings()).faults
     assert set(fault.name.split(" or ")) == named and np.isnan(fault.size) == (len(named) > 1)
 
 
@@ -287,7 +287,7 @@ def test_a_repaired_jump_adds_its_own_uncertainty(world, method, senses, noise, 
     for seed in range(6):
         drawn = world(seed, duration=12.0, encoder_std=noise, camera_hz=12.0)
         features = spoil(drawn, lambda t, y: np.add(y, size, out=y, where=t >= 6.0))
-        found = estimate(features, drawn.body, Estimation(senses=senses, method=method))
+        found = estimate_from_features(features, drawn.body, EstimationSettings(senses=senses, method=method))
         (fault,) = found.faults
         assert (fault.name, fault.kind) == ("pan", "jumping")
         shares.append(abs(fault.size - size) / fault.std)
@@ -303,11 +303,11 @@ def test_a_fault_that_ends_has_an_end(world, seed):
         y[(t >= 8.0) & (t < 11.0)] = y[np.searchsorted(t, 8.0)]
 
     drawn = world(seed, duration=16.0, encoder_std=0.005, camera_hz=20.0)
-    found = estimate(spoil(drawn, freeze_for_a_while), drawn.body, Estimation())
+    found = estimate_from_features(spoil(drawn, freeze_for_a_while), drawn.body, EstimationSettings())
     (fault,) = found.faults
     assert (fault.kind, fault.since) == ("frozen", pytest.approx(8.0, abs=0.05))
     assert fault.until == pytest.approx(11.0, abs=0.03)
-    assert "pan: encoder is frozen 8.0 to 11.0 s" in of_estimate(found, ())
+    assert "pan: encoder is frozen 8.0 to 11.0 s" in verdict_of_estimate(found, ())
     (warning,) = fault_warnings([fault])
     assert warning.text.startswith("encoders pan: frozen 8.020 to 11.000 s")
 
@@ -321,7 +321,7 @@ def test_two_faults_on_two_joints_are_named_by_kind_and_size(world, offset, jump
     values[:, joints.names.index(offset)] += 0.03
     values[joints.t >= 8.0, joints.names.index(jumped)] += 0.06
     features = replace(drawn.features, joints=replace(joints, values=values))
-    faults = {fault.name: fault for fault in estimate(features, drawn.body, Estimation()).faults}
+    faults = {fault.name: fault for fault in estimate_from_features(features, drawn.body, EstimationSettings()).faults}
     assert faults.keys() == {offset, jumped}
     assert (faults[offset].kind, faults[jumped].kind) == ("drifting", "jumping")
     assert faults[offset].since < 1.0 and faults[jumped].since == pytest.approx(8.0, abs=0.05)

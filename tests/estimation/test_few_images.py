@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate
+from bodylog.estimation import estimate_from_features
 from bodylog.estimation.noise import evidence_search
-from bodylog.settings import Estimation
+from bodylog.settings import EstimationSettings
 
 
 def with_images(features, first, last):
@@ -21,10 +21,10 @@ def with_images(features, first, last):
 @pytest.mark.parametrize("last", [0.05, 0.2, 3.0])
 @pytest.mark.parametrize("first", [0.0, 150.0])
 def test_few_images_at_one_end_do_not_spoil_a_long_log(world, monkeypatch, first, last):
-    monkeypatch.setattr(evidence_search, "INSTANTS", 4000)
+    monkeypatch.setattr(evidence_search, "MAX_INSTANTS", 4000)
     drawn = world(0, duration=200.0)
     some, none = (
-        estimate(with_images(drawn.features, first, end), drawn.body, Estimation(method="smoother")).joints.values
+        estimate_from_features(with_images(drawn.features, first, end), drawn.body, EstimationSettings(method="smoother")).joints.values
         for end in (first + last, -1.0)
     )
     error, alone = (np.sqrt(np.square(path - drawn.truth.values).mean()) for path in (some, none))
@@ -32,11 +32,11 @@ def test_few_images_at_one_end_do_not_spoil_a_long_log(world, monkeypatch, first
 
 
 def test_noise_is_tuned_where_many_images_come_before_all_readings(world, monkeypatch):
-    monkeypatch.setattr(evidence_search, "INSTANTS", 250)
+    monkeypatch.setattr(evidence_search, "MAX_INSTANTS", 250)
     drawn = world(0, duration=20.0)
     joints = drawn.features.joints
     late = joints.t > 10.0
     parts = {name: getattr(joints, name)[late] for name in ("t", "values", "source_ns")}
     features = replace(with_images(drawn.features, 0.0, 9.0), joints=replace(joints, **parts))
-    found = estimate(features, drawn.body, Estimation())
+    found = estimate_from_features(features, drawn.body, EstimationSettings())
     assert np.square(found.joints.values - drawn.truth.values[late]).mean() < 0.012**2

@@ -5,24 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate
-from bodylog.evaluation.scores import scores
-from bodylog.settings import Estimation
+from bodylog.estimation import estimate_from_features
+from bodylog.evaluation.scores import score_angles
+from bodylog.settings import EstimationSettings
 from bodylog.types import Series
 from tests.seeds import seeds
 
-MODEL = Estimation(precision="model", bias="off")
+MODEL = EstimationSettings(precision="model", bias="off")
 
 
 def rmse(found, world):
-    return {score.name: score.value for score in scores(found, world.truth, world.features.joints)}
+    return {score.name: score.value for score in score_angles(found, world.truth, world.features.joints)}
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
 @pytest.mark.parametrize(("encoder_hz", "duration"), [(50.0, 6.0), (400.0, 6.0), (400.0, 16.0)])
 def test_filter_of_a_linear_body_is_the_kalman_filter(world, reference, linear_model, seed, encoder_hz, duration):
     drawn = world(seed, duration=duration, encoder_hz=encoder_hz, model=linear_model, hidden=(2.0, 3.0))
-    found = estimate(drawn.features, drawn.body, replace(MODEL, rate=None))
+    found = estimate_from_features(drawn.features, drawn.body, replace(MODEL, rate=None))
     expected = reference(drawn, np.full(3, 0.3), np.full(3, 0.02**2), 0.4**2)
     at = np.searchsorted(expected.t, found.joints.t)
     grid = expected.t[at] == found.joints.t
@@ -38,7 +38,7 @@ def test_filter_under_white_jerk_is_the_kalman_filter(
     world, reference, linear_model, white_jerk, encoder_hz, duration
 ):  # fmt: skip
     drawn = world(1, duration=duration, encoder_hz=encoder_hz, model=linear_model, hidden=(2.0, 3.0))
-    found = estimate(drawn.features, drawn.body, replace(MODEL, rate=None))
+    found = estimate_from_features(drawn.features, drawn.body, replace(MODEL, rate=None))
     expected = reference(drawn, white_jerk, np.full(3, 0.02**2), 0.4**2, order=3)
     at = np.searchsorted(expected.t, found.joints.t)
     np.testing.assert_allclose(found.joints.values, expected.mean[at, :3], atol=1e-9, rtol=0)
@@ -49,7 +49,7 @@ def test_filter_under_white_jerk_is_the_kalman_filter(
 
 def test_fast_encoders_are_all_used_but_written_at_100_hz(world, linear_model):
     drawn = world(0, duration=3.0, encoder_hz=500.0, model=linear_model)
-    found = estimate(drawn.features, drawn.body, MODEL)
+    found = estimate_from_features(drawn.features, drawn.body, MODEL)
     np.testing.assert_allclose(np.diff(found.joints.t), 0.01)
     assert found.used["encoders"].used == 1500
     earlier = drawn.features.joints.t[:, None] <= found.joints.t + 1e-12
@@ -59,7 +59,7 @@ def test_fast_encoders_are_all_used_but_written_at_100_hz(world, linear_model):
 @pytest.mark.parametrize("rate", [10.0, 200.0])
 def test_estimate_rate_is_the_configured_one(world, rate):
     drawn = world(0, duration=3.0)
-    found = estimate(drawn.features, drawn.body, replace(MODEL, rate=rate))
+    found = estimate_from_features(drawn.features, drawn.body, replace(MODEL, rate=rate))
     np.testing.assert_allclose(np.diff(found.joints.t), 1 / rate)
 
 
@@ -70,8 +70,8 @@ def test_order_of_simultaneous_senses_does_not_matter(world):
     other = replace(track, values=track.values + np.random.default_rng(0).normal(0, 1.0, track.values.shape))
     body = replace(drawn.body, senses={name: drawn.body.senses["effector"] for name in ("effector", "other")})
     pair = {"effector": track, "other": other}
-    one = estimate(replace(drawn.features, tracks=pair), body, MODEL)
-    two = estimate(replace(drawn.features, tracks=dict(reversed(pair.items()))), body, MODEL)
+    one = estimate_from_features(replace(drawn.features, tracks=pair), body, MODEL)
+    two = estimate_from_features(replace(drawn.features, tracks=dict(reversed(pair.items()))), body, MODEL)
     np.testing.assert_allclose(one.joints.values, two.joints.values, atol=1e-9, rtol=0)
     np.testing.assert_allclose(one.cov, two.cov, atol=1e-12, rtol=0)
 
@@ -80,7 +80,7 @@ def test_filter_of_a_still_arm_has_noise_without_motion(world, white_acceleratio
     ratios, shares = [], []
     for seed in range(6):
         drawn = world(seed, speed=0.0)
-        found = estimate(drawn.features, drawn.body, Estimation(senses=("encoders",)))
+        found = estimate_from_features(drawn.features, drawn.body, EstimationSettings(senses=("encoders",)))
         ratios.append([rmse(found, drawn)[f"nees/joint/{name}"] for name in drawn.body.joints])
         shares.append(found.settings["stated"])
     assert 0.85 < np.mean(ratios) < 1.2
@@ -91,7 +91,7 @@ def test_filter_rejects_a_mistaken_blob(world):
     worse = []
     for seed in range(4):
         clean, spoilt = (world(seed, duration=10.0, blunder=share) for share in (0.0, 0.06))
-        found = [rmse(estimate(w.features, w.body, MODEL), w)["rmse/joint"] for w in (clean, spoilt)]
+        found = [rmse(estimate_from_features(w.features, w.body, MODEL), w)["rmse/joint"] for w in (clean, spoilt)]
         worse.append(found[1] / found[0])
     assert np.mean(worse) < 1.1
 
@@ -100,7 +100,7 @@ def test_error_bars_are_true_and_the_gap_is_no_exception(world):
     nees, inside, hidden = [], [], []
     for seed in range(5):
         drawn = world(seed, duration=14.0, hidden=(6.0, 8.0), pixel_std=0.1)
-        found = estimate(drawn.features, drawn.body, Estimation())
+        found = estimate_from_features(drawn.features, drawn.body, EstimationSettings())
         score = rmse(found, drawn)
         nees.append([score[f"nees/joint/{name}"] for name in drawn.body.joints])
         inside.append(score["coverage_2sigma/joint"])
@@ -127,7 +127,7 @@ def test_evidence_falls_with_an_outliers_distance(world, method, sense):
         features = replace(
             drawn.features, joints=replace(joints, values=angles), tracks={"effector": replace(track, values=places)}
         )
-        found = estimate(features, drawn.body, replace(MODEL, method=method))
+        found = estimate_from_features(features, drawn.body, replace(MODEL, method=method))
         costs.append(found.free_energy[np.searchsorted(found.joints.t, at)])
     rises = np.diff(costs)
     assert (rises > 0.0).all() and rises[-1] < 1.0 and 10.0 < sum(rises) < 20.0
@@ -135,13 +135,13 @@ def test_evidence_falls_with_an_outliers_distance(world, method, sense):
 
 def test_vision_alone_replaces_a_silent_encoder(world):
     drawn = world(3)
-    found = estimate(drawn.features, drawn.body, Estimation(senses=("pan", "elbow", "vision")))
+    found = estimate_from_features(drawn.features, drawn.body, EstimationSettings(senses=("pan", "elbow", "vision")))
     assert rmse(found, drawn)["rmse/joint/lift"] < 0.01
 
 
 def test_predictions_and_errors_are_standardised(world):
     drawn = world(2, hidden=(6.0, 8.0))
-    found = estimate(drawn.features, drawn.body, Estimation())
+    found = estimate_from_features(drawn.features, drawn.body, EstimationSettings())
     track = drawn.features.tracks["effector"]
     assert found.predicted["effector"].t.tolist() == track.t.tolist()
     seen = np.isfinite(track.values).all(axis=1)
@@ -155,7 +155,7 @@ def test_predictions_and_errors_are_standardised(world):
 
 def test_extended_filter_is_close_but_different(world):
     drawn = world(0)
-    iterated, once = (estimate(drawn.features, drawn.body, replace(MODEL, method=m)) for m in ("laplace", "ekf"))
+    iterated, once = (estimate_from_features(drawn.features, drawn.body, replace(MODEL, method=m)) for m in ("laplace", "ekf"))
     apart = np.abs(iterated.joints.values - once.joints.values).max()
     assert 1e-8 < apart < 5e-3
 
@@ -163,7 +163,7 @@ def test_extended_filter_is_close_but_different(world):
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
 def test_same_input_same_bytes(world, method):
     drawn = world(0, duration=5.0)
-    one, two = (estimate(drawn.features, drawn.body, Estimation(method=method)) for _ in range(2))
+    one, two = (estimate_from_features(drawn.features, drawn.body, EstimationSettings(method=method)) for _ in range(2))
     assert one.joints.values.tobytes() == two.joints.values.tobytes()
     assert one.cov.tobytes() == two.cov.tobytes()
 
@@ -176,7 +176,7 @@ def test_nan_and_backward_times_are_skipped_and_counted(world):
     values[70:80, 0] = np.nan
     t[100:110] = t[40:50]
     spoilt = Series(t, values, joints.names, joints.unit, joints.source_ns)
-    found = estimate(replace(drawn.features, joints=spoilt), drawn.body, Estimation())
+    found = estimate_from_features(replace(drawn.features, joints=spoilt), drawn.body, EstimationSettings())
     assert found.used["encoders"].rejected == {"time runs backwards": 10, "not a number": 10, "without elbow": 10}
     assert rmse(found, drawn)["rmse/joint"] < 0.01
 
@@ -185,7 +185,7 @@ def test_nan_and_backward_times_are_skipped_and_counted(world):
 def test_filter_tolerates_far_too_small_encoder_noise(world, method):
     drawn = world(0, duration=6.0, pixel_std=0.07)
     body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=(9e-6,) * 3, process=(0.06,) * 3))
-    found = estimate(drawn.features, body, Estimation(method=method, precision="model"))
+    found = estimate_from_features(drawn.features, body, EstimationSettings(method=method, precision="model"))
     assert np.isfinite(found.joints.values).all()
     assert rmse(found, drawn)["rmse/joint"] < 0.05
     assert np.linalg.eigvalsh(found.cov).min() > 0

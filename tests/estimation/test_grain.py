@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate
-from bodylog.estimation.noise.quantisation import dithered, shared_variance, step_size
-from bodylog.settings import Estimation
+from bodylog.estimation import estimate_from_features
+from bodylog.estimation.noise.quantisation import dither_readings, shared_variance, step_size
+from bodylog.settings import EstimationSettings
 
 
 def test_step_size_is_found_only_for_coarse_encoders():
@@ -23,17 +23,17 @@ def test_step_size_is_found_only_for_coarse_encoders():
 def test_dither_is_as_wide_as_the_step_and_the_same_every_time():
     t = np.arange(0.0, 4.0, 1e-3)
     y = np.round(t / 0.02) * 0.02
-    spread, variance, least = dithered(t, y)
+    spread, variance, least = dither_readings(t, y)
     assert least == variance == pytest.approx(0.02**2 / 12)
     assert np.var(spread - y) == pytest.approx(variance, rel=0.1)
-    np.testing.assert_array_equal(spread, dithered(t, y)[0])
-    smooth, *none = dithered(t, np.sin(t))
+    np.testing.assert_array_equal(spread, dither_readings(t, y)[0])
+    smooth, *none = dither_readings(t, np.sin(t))
     assert none == [0.0, 0.0] and (smooth == np.sin(t)).all()
 
 
 def test_readings_that_repeat_for_long_share_an_error():
     t = np.arange(0.0, 8.0, 0.02)
-    _, variance, least = dithered(t, np.round(t / 4.0) * 0.02)
+    _, variance, least = dither_readings(t, np.round(t / 4.0) * 0.02)
     assert 10 * variance < least < 30 * variance
 
 
@@ -50,7 +50,7 @@ def test_error_bars_are_true_for_coarse_encoders(world, method, step, speed, see
     drawn = world(seed, duration=12.0, encoder_std=0.0, speed=speed)
     joints = drawn.features.joints
     coarse = replace(joints, values=np.round(joints.values / step) * step)
-    found = estimate(replace(drawn.features, joints=coarse), drawn.body, Estimation(method=method))
+    found = estimate_from_features(replace(drawn.features, joints=coarse), drawn.body, EstimationSettings(method=method))
     assert not found.faults
     error = found.joints.values - drawn.truth.values
     ratio = error**2 / np.einsum("nii->ni", found.cov)
@@ -66,6 +66,6 @@ def test_belief_of_constant_readings_has_true_error_bars(world, method):
     encoder = tuple([0.003**2] * 3)
     body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=encoder), senses={})
     features = replace(drawn.features, joints=replace(joints, values=joints.values + off), tracks={})
-    found = estimate(features, body, Estimation(method=method))
+    found = estimate_from_features(features, body, EstimationSettings(method=method))
     columns = [joints.names.index(name) for name in body.joints]
     assert np.mean(off[columns] ** 2 / np.einsum("nii->ni", found.cov)) < 3.0

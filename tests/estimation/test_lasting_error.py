@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from bodylog import verdict
-from bodylog.estimation import estimate
-from bodylog.evaluation.scores import at_times
-from bodylog.settings import Estimation
+from bodylog.estimation import estimate_from_features
+from bodylog.evaluation.scores import truth_at_times
+from bodylog.settings import EstimationSettings
 from bodylog.sim.hardware import Hardware
 from bodylog.types import LASTING_ERROR, Series
 from tests.estimation import mechanisms
@@ -27,7 +27,7 @@ def truth(seed, mechanism):
 
 
 def nees(found, true):
-    error = found.joints.values - at_times(true, list(found.joints.names), found.joints.t)
+    error = found.joints.values - truth_at_times(true, list(found.joints.names), found.joints.t)
     return float((error**2 / np.einsum("nii->ni", found.cov)).mean())
 
 
@@ -42,15 +42,15 @@ def without_widening(monkeypatch):
 def test_error_bars_hold_an_error_that_lasts_and_a_warning_tells_its_size(method, mechanism, std, monkeypatch):
     body = mechanisms.learned(1000, mechanisms.SOUND)
     features, true = mechanisms.replayed(4, mechanism, Fault()), truth(4, mechanism)
-    found = estimate(features, body, Estimation(method=method), "off")
+    found = estimate_from_features(features, body, EstimationSettings(method=method), "off")
     own = found.settings[LASTING_ERROR]
     assert own["std"] == pytest.approx(std, rel=0.5) and own["nats"] > 12.0
     assert 0.3 < nees(found, true) < 2.0
     (warning,) = (one for one in found.findings if "errors last about" in one.text)
     assert warning.severity == "warning" and "mrad" in warning.text
-    assert any("errors last about" in line for line in verdict.of_estimate(found, ()))
+    assert any("errors last about" in line for line in verdict.verdict_of_estimate(found, ()))
     without_widening(monkeypatch)
-    narrow = estimate(features, body, Estimation(method=method), "off")
+    narrow = estimate_from_features(features, body, EstimationSettings(method=method), "off")
     assert nees(narrow, true) > 5.0
     assert np.array_equal(narrow.joints.values, found.joints.values)
     assert np.allclose(found.cov - narrow.cov, own["std"] ** 2 * np.eye(3))
@@ -60,11 +60,11 @@ def test_error_bars_hold_an_error_that_lasts_and_a_warning_tells_its_size(method
 def test_a_sound_log_gets_no_warning_and_keeps_its_error_bars(mechanism):
     body = mechanisms.learned(1000, mechanism)
     for seed in range(3):
-        found = estimate(mechanisms.replayed(seed, mechanism, Fault(), reaches=seed % 2 == 1), body, Estimation())
+        found = estimate_from_features(mechanisms.replayed(seed, mechanism, Fault(), reaches=seed % 2 == 1), body, EstimationSettings())
         assert LASTING_ERROR not in found.settings
 
 
 def test_noise_that_is_set_is_left_as_it_is():
     body = mechanisms.learned(1000, mechanisms.SOUND)
     features = mechanisms.replayed(4, CORRELATED, Fault())
-    assert LASTING_ERROR not in estimate(features, body, Estimation(precision="model")).settings
+    assert LASTING_ERROR not in estimate_from_features(features, body, EstimationSettings(precision="model")).settings

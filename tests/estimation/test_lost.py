@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.estimation import estimate
+from bodylog.estimation import estimate_from_features
 from bodylog.estimation.inference import gauss_newton, instant
 from bodylog.estimation.methods import filtering, smoother
-from bodylog.settings import Estimation
+from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import Explored
 from tests.seeds import seeds
 
@@ -34,7 +34,7 @@ def shifted(features, size, rows, name):
 
 def judged(features, drawn, since, **settings):
     """From `since` (s) on: RMSE (rad), squared error over stated variance, faults, findings about a lost belief."""
-    found = estimate(features, drawn.body, Estimation(**settings))
+    found = estimate_from_features(features, drawn.body, EstimationSettings(**settings))
     late = found.joints.t >= since
     truth = np.stack([np.interp(found.joints.t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1)
     error = (found.joints.values - truth)[late]
@@ -80,7 +80,7 @@ def test_smoothed_path_recovers_after_a_silence(world, seed):
 def silent(world, seed, silence, method, names=ALL):
     """In a silence from 6 s on, of a body that knows where the arm was explored: RMSE (rad), NEES, share within 2 σ."""
     drawn = world(seed, duration=7.0 + silence, model=Explored())
-    found = estimate(muted(drawn.features, 6.0, 6.0 + silence, names), drawn.body, Estimation(method=method, rate=25.0))
+    found = estimate_from_features(muted(drawn.features, 6.0, 6.0 + silence, names), drawn.body, EstimationSettings(method=method, rate=25.0))
     inside = (found.joints.t > 6.0) & (found.joints.t < 6.0 + silence)
     truth = np.stack([np.interp(found.joints.t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1)
     error, var = (found.joints.values - truth)[inside], np.einsum("nii->ni", found.cov)[inside]
@@ -108,7 +108,7 @@ def test_smoother_by_images_alone_draws_lines_over_its_belief(world):
     nees = []
     for seed in range(4):
         drawn = world(seed, duration=10.0, model=Explored())
-        found = estimate(drawn.features, drawn.body, Estimation(method="smoother", senses=("vision",), rate=25.0))
+        found = estimate_from_features(drawn.features, drawn.body, EstimationSettings(method="smoother", senses=("vision",), rate=25.0))
         truth = np.stack([np.interp(found.joints.t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1)
         nees.append(np.mean((found.joints.values - truth) ** 2 / np.einsum("nii->ni", found.cov)))
     assert max(nees) < 25.0
@@ -122,7 +122,7 @@ def test_error_bars_hold_while_encoders_are_silent(world, silence):
     assert np.sqrt(np.mean(rmse**2)) < 0.06 * silence and 0.2 < np.median(nees) < 1.2 and np.mean(within) > 0.9
 
 
-@pytest.mark.parametrize("solve", [gauss_newton.solve, smoother.solve])
+@pytest.mark.parametrize("solve", [gauss_newton.solve_by_gauss_newton, smoother.solve_map_path])
 def test_full_reset_separates_what_precedes_and_follows(world, linear_model, solve):
     drawn = world(0, duration=9.0, model=linear_model)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
@@ -133,9 +133,9 @@ def test_full_reset_separates_what_precedes_and_follows(world, linear_model, sol
         seen = replace(track, t=track.t[frames], values=track.values[frames], std=track.std[frames],
                        source_ns=track.source_ns[frames])  # fmt: skip
         features = replace(drawn.features, joints=part, tracks={"effector": seen})
-        problem = filtering.gathered(features, drawn.body, Estimation(precision="model", bias="off"))
+        problem = filtering.build_filter_problem(features, drawn.body, EstimationSettings(precision="model", bias="off"))
         found = solve(replace(problem, resets=resets))
-        z, cov = (found.z, found.cov) if solve is smoother.solve else (found.trace.z, found.trace.cov[:, :3, :3])
+        z, cov = (found.z, found.cov) if solve is smoother.solve_map_path else (found.trace.z, found.trace.cov[:, :3, :3])
         return problem.timeline.t, found.fold.unfold(z)[:, :3], found.fold.unfold(cov)
 
     middle = joints.t[223]
@@ -246,8 +246,8 @@ def paused(features, since, gap):
 def test_pause_of_any_length_separates_its_sides(world, white_acceleration, method, gap):
     drawn = world(3, duration=8.0)
     t = drawn.features.joints.t
-    found = estimate(paused(drawn.features, 4.0, gap), drawn.body, Estimation(method=method))
-    whole = estimate(drawn.features, drawn.body, Estimation(method=method))
+    found = estimate_from_features(paused(drawn.features, 4.0, gap), drawn.body, EstimationSettings(method=method))
+    whole = estimate_from_features(drawn.features, drawn.body, EstimationSettings(method=method))
     after = t > 4.5
     assert np.isfinite(found.cov).all() and (np.einsum("nii->ni", found.cov) > 0.0).all()
     truth = np.stack([np.interp(t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1)
@@ -260,7 +260,7 @@ def test_joint_that_is_first_read_after_a_long_pause_starts_there(world, gap):
     """Unless it is reset, its variance has grown so far that rounding swallows the reading's."""
     drawn = world(3, duration=8.0)
     features = paused(muted(drawn.features, 0.0, 4.001, ("pan",)), 4.0, gap)
-    found = estimate(features, drawn.body, Estimation(start=tuple(drawn.truth.values[0])))
+    found = estimate_from_features(features, drawn.body, EstimationSettings(start=tuple(drawn.truth.values[0])))
     after = found.joints.t > gap
     truth = [np.interp(found.joints.t[after] - gap, drawn.truth.t, column) for column in drawn.truth.values.T]
     assert np.sqrt(np.square(found.joints.values[after] - np.stack(truth, axis=1)).mean()) < 0.01
@@ -269,7 +269,7 @@ def test_joint_that_is_first_read_after_a_long_pause_starts_there(world, gap):
 def test_estimate_refuses_a_grid_of_mostly_silence(world):
     drawn = world(3, duration=8.0)
     with pytest.raises(UsageError, match=r"rate: 50 Hz found, 5e\+08 instants for .* stamps, none .*; type --rate"):
-        estimate(paused(drawn.features, 4.0, 1e7), drawn.body, Estimation(rate=50.0))
+        estimate_from_features(paused(drawn.features, 4.0, 1e7), drawn.body, EstimationSettings(rate=50.0))
 
 
 def test_belief_whose_rates_rounding_broke_is_refused():

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate
-from bodylog.estimation.faults.threshold import NATS
-from bodylog.settings import Estimation
+from bodylog.estimation import estimate_from_features
+from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
+from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import World, draw
 from tests.estimation.resting import Drawn, drawn
 
@@ -26,7 +26,7 @@ def shaken(seed: int) -> World:
 @pytest.mark.parametrize(("world", "order"), [(lambda seed: draw(seed, encoder_hz=100.0), 3), (shaken, 2)])
 def test_motion_order_is_chosen_by_evidence_and_listed(world, order, seed):
     made = world(seed)
-    settings = estimate(made.features, made.body, Estimation(senses=("encoders",))).settings
+    settings = estimate_from_features(made.features, made.body, EstimationSettings(senses=("encoders",))).settings
     (jerk,) = [one for one in settings["hypotheses"] if one["name"] == "white jerk"]
     assert settings["order"] == order and jerk["chosen"] == (order == 3)
     assert (jerk["nats"] > 0.0) == jerk["chosen"] and (jerk["about"], jerk["threshold"]) == ("joints", 0.0)
@@ -34,7 +34,7 @@ def test_motion_order_is_chosen_by_evidence_and_listed(world, order, seed):
 
 def test_typed_process_is_white_acceleration():
     world = draw(0, encoder_hz=100.0)
-    found = estimate(world.features, world.body, Estimation(process=0.3))
+    found = estimate_from_features(world.features, world.body, EstimationSettings(process=0.3))
     assert found.settings["order"] == 2 and found.settings["process"] == [0.3] * 3
     assert "white jerk" not in [one["name"] for one in found.settings.get("hypotheses", ())]
 
@@ -49,7 +49,7 @@ RESTING = Drawn("rest", noise=0.005, gaps=3)
 def test_joints_that_stick_or_rest_have_white_acceleration(how, seed):
     """A quantised encoder's least variance is no evidence for white jerk, nor are short gaps of a joint at rest."""
     world = drawn(seed, how)
-    settings = estimate(world.features, world.body, Estimation()).settings
+    settings = estimate_from_features(world.features, world.body, EstimationSettings()).settings
     (jerk,) = [one for one in settings["hypotheses"] if one["name"] == "white jerk"]
     assert settings["order"] == 2 and jerk["nats"] < jerk["threshold"]
-    assert jerk["threshold"] == (-3 * NATS if how.gaps else 0.0)
+    assert jerk["threshold"] == (-3 * EVIDENCE_THRESHOLD_NATS if how.gaps else 0.0)

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate
-from bodylog.estimation.faults.moved_camera import detect
-from bodylog.estimation.faults.screening import screened
-from bodylog.estimation.faults.threshold import NATS
-from bodylog.settings import Estimation
+from bodylog.estimation import estimate_from_features
+from bodylog.estimation.faults.moved_camera import detect_moved_camera
+from bodylog.estimation.faults.screening import screen_measurements
+from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
+from bodylog.settings import EstimationSettings
 from tests.estimation.resting import MOTIONS, Drawn, drawn, judged
 from tests.seeds import seeds
 
@@ -32,7 +32,7 @@ def stepped(features, joint, size, since):
 
 
 def cameras(features, body):
-    return [fault for fault in screened(features, body, Estimation()).faults if fault.sense == "vision"]
+    return [fault for fault in screen_measurements(features, body, EstimationSettings()).faults if fault.sense == "vision"]
 
 
 @pytest.mark.parametrize("px", [5.0, 30.0])
@@ -68,7 +68,7 @@ def test_a_false_image_at_either_end_is_no_moved_camera(world, seed, row):
 def test_moved_camera_does_not_degrade_the_estimate(method, px):
     world = drawn(101, Drawn("reach", noise=0.01))
     found, sound = (
-        estimate(features, world.body, Estimation(method=method))
+        estimate_from_features(features, world.body, EstimationSettings(method=method))
         for features in (moved(world.features, px, 1.0), world.features)
     )
     assert [fault.kind for fault in found.faults] == ["displaced"] and not sound.faults
@@ -114,7 +114,7 @@ def test_an_encoder_that_drifts_far_leaves_one_finite_hypothesis(rate):
     joints = world.features.joints
     off = np.outer(np.clip(rate * (joints.t - 5.0), 0.0, None), np.arange(3) == 0)
     features = replace(world.features, joints=replace(joints, values=joints.values + off))
-    verdict = screened(features, world.body, Estimation())
+    verdict = screen_measurements(features, world.body, EstimationSettings())
     (moved,) = [one for one in verdict.hypotheses if one.name == "camera moved"]
     assert np.isfinite(moved.nats) and moved.nats < 0.0 and not moved.chosen
 
@@ -138,11 +138,11 @@ def test_moved_camera_is_found_for_two_moves():
 
 def test_evidence_for_a_moved_camera_is_reported():
     world = drawn(104, Drawn("reach", noise=0.01))
-    found = detect(replace(screened(world.features, world.body, Estimation()), hypotheses=()), world.body)
+    found = detect_moved_camera(replace(screen_measurements(world.features, world.body, EstimationSettings()), hypotheses=()), world.body)
     (hypothesis,) = found.hypotheses
     assert hypothesis.name == "camera moved" and hypothesis.nats < 0.0 and not hypothesis.chosen
-    hypotheses = estimate(world.features, world.body, Estimation()).settings["hypotheses"]
+    hypotheses = estimate_from_features(world.features, world.body, EstimationSettings()).settings["hypotheses"]
     cameras = [one for one in hypotheses if one["about"] == "camera"]
     assert [(one["name"], one["chosen"], one["threshold"]) for one in cameras] == [
-        ("camera late", False, NATS), ("camera moved", False, NATS),
+        ("camera late", False, EVIDENCE_THRESHOLD_NATS), ("camera moved", False, EVIDENCE_THRESHOLD_NATS),
     ]  # fmt: skip

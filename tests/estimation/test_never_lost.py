@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bodylog.body_model import BodyModel
-from bodylog.estimation import estimate
+from bodylog.estimation import estimate_from_features
 from bodylog.estimation.noise import evidence_search
-from bodylog.settings import Estimation
+from bodylog.settings import EstimationSettings
 from tests.estimation import mechanisms
 from tests.estimation.conftest import World
 from tests.estimation.mechanisms import Fault, Mechanism
@@ -49,10 +49,10 @@ def test_a_slow_drift_of_a_quiet_arm_is_estimated(
         least.append(float(readings.var.min()))
         return scan(readings, *rest, **more)
 
-    scan = evidence_search.scan
-    monkeypatch.setattr(evidence_search, "scan", watched)
+    scan = evidence_search.filter_stretches
+    monkeypatch.setattr(evidence_search, "filter_stretches", watched)
     world = _drifting(seed, how, drift, stated)
-    found = estimate(world.features, world.body, Estimation())
+    found = estimate_from_features(world.features, world.body, EstimationSettings())
     assert np.isfinite(found.joints.values).all()
     assert np.isfinite(found.cov).all()
     assert least
@@ -61,12 +61,12 @@ def test_a_slow_drift_of_a_quiet_arm_is_estimated(
 
 def test_a_step_without_a_finite_cost_is_not_taken() -> None:
     half = np.array([1.0, 0.5])
-    step, std = evidence_search._step(np.array([3.0, 2.0, 5.0, np.nan, 4.0]), half)
+    step, std = evidence_search._parabola_step(np.array([3.0, 2.0, 5.0, np.nan, 4.0]), half)
     assert np.isfinite([step, std]).all()
     assert step[0] > 0.0  # up costs less
     assert step[1] <= 0.0
     for costs in (np.full(5, np.nan), np.array([np.nan, 1.0, 1.0, 2.0, 2.0]), np.array([np.inf, 1.0, 1.0, 2.0, 2.0])):
-        assert not evidence_search._step(costs, half)[0].any()
+        assert not evidence_search._parabola_step(costs, half)[0].any()
 
 
 MECHANISMS = {
@@ -103,7 +103,7 @@ RUNS = [
 def test_two_hundred_faulty_runs_have_numbers(name: str, mechanism: Mechanism, fault: Fault) -> None:
     for seed in range(SEEDS):
         features = mechanisms.replayed(seed, mechanism, fault, reaches=seed % 4 < 2)
-        found = estimate(features, _body(name), Estimation(method=METHODS[seed % 2]))
+        found = estimate_from_features(features, _body(name), EstimationSettings(method=METHODS[seed % 2]))
         assert np.isfinite(found.joints.values).all()
         assert np.isfinite(found.cov).all()
         assert (np.einsum("nii->ni", found.cov) > 0.0).all()

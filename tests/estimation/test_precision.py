@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.special import factorial
 
-from bodylog.estimation import estimate
+from bodylog.estimation import estimate_from_features
 from bodylog.estimation.measurements.records import Encoders
 from bodylog.estimation.methods import filtering
 from bodylog.estimation.noise import encoder_evidence, encoder_noise, evidence_search, quantisation
-from bodylog.settings import Estimation
+from bodylog.settings import EstimationSettings
 from tests.estimation import conftest
 
 
@@ -34,8 +34,8 @@ def likeliest(t, y):
 
 
 def learn(t, y, order=2):
-    (joint,) = encoder_noise.series(Encoders(t, y[:, None], np.zeros(len(t), int)))
-    return encoder_noise.learn([joint], np.ones(1), np.ones(1), order)
+    (joint,) = encoder_noise.average_joint_readings(Encoders(t, y[:, None], np.zeros(len(t), int)))
+    return encoder_noise.learn_encoder_noise([joint], np.ones(1), np.ones(1), order)
 
 
 @pytest.mark.parametrize(("noise", "process"), [(4e-4, 0.1), (1e-6, 0.1), (1e-4, 1e-3)])
@@ -75,8 +75,8 @@ def test_process_variance_ignores_single_false_readings(order, seed):
     sound = np.sin(np.outer(t, [0.7, 1.1, 1.6])) * 0.3 + rng.normal(0.0, 0.02, (len(t), 3))
     false = sound.copy()
     false[rng.choice(len(t), 8, replace=False)] += rng.normal(0.0, 0.5, (8, 3))
-    joints = [encoder_noise.series(Encoders(t, values, np.zeros(len(t), int))) for values in (sound, false)]
-    found = [encoder_noise.learn(each, np.full(3, 1e-4), np.ones(3), order) for each in joints]
+    joints = [encoder_noise.average_joint_readings(Encoders(t, values, np.zeros(len(t), int))) for values in (sound, false)]
+    found = [encoder_noise.learn_encoder_noise(each, np.full(3, 1e-4), np.ones(3), order) for each in joints]
     np.testing.assert_allclose(found[1].process, found[0].process, rtol=0.5)
 
 
@@ -91,17 +91,17 @@ def test_encoder_noise_of_constant_joints_is_the_bodys():
     t = np.arange(0.0, 4.0, 0.02)
     values = np.stack([np.zeros_like(t), np.full_like(t, np.nan)], axis=1)
     given = np.array([1e-4, 1e-4]), np.array([0.2, 0.3])
-    learned = encoder_noise.learn(encoder_noise.series(Encoders(t, values, t.astype(np.int64))), *given)
+    learned = encoder_noise.learn_encoder_noise(encoder_noise.average_joint_readings(Encoders(t, values, t.astype(np.int64))), *given)
     encoder, process = learned.encoder, learned.process
     # that all repeat one value is one error of it, not many
-    np.testing.assert_allclose(encoder, given[0] * [t[-1] / quantisation.ONE, 1.0])
+    np.testing.assert_allclose(encoder, given[0] * [t[-1] / quantisation.SHARED_ERROR_S, 1.0])
     np.testing.assert_array_equal(process, given[1])
 
 
 @pytest.mark.parametrize("std", [0.003, 0.02])
 def test_encoder_noise_is_learned_from_the_log(world, std):
     drawn = world(0, encoder_std=std)
-    found = estimate(drawn.features, drawn.body, Estimation())
+    found = estimate_from_features(drawn.features, drawn.body, EstimationSettings())
     np.testing.assert_allclose(np.sqrt(found.settings["encoder"]), std, rtol=0.1)
 
 
@@ -109,25 +109,25 @@ def test_pixels_noisier_than_claimed_are_noticed(world):
     drawn = world(0, pixel_std=1.5)
     track = drawn.features.tracks["effector"]
     modest = replace(drawn.features, tracks={"effector": replace(track, std=np.full_like(track.values, 0.5))})
-    found = estimate(modest, drawn.body, Estimation())
+    found = estimate_from_features(modest, drawn.body, EstimationSettings())
     assert 5.0 < found.settings["scale"]["effector"] < 14.0
 
 
 def test_variances_of_body_and_paper_presets_are_used(world):
     drawn = world(0, duration=3.0)
-    own = estimate(drawn.features, drawn.body, Estimation(precision="model")).settings
+    own = estimate_from_features(drawn.features, drawn.body, EstimationSettings(precision="model")).settings
     assert own["encoder"] == pytest.approx([4e-4] * 3) and own["process"] == pytest.approx([0.3] * 3)
-    paper = estimate(drawn.features, drawn.body, Estimation(precision="fixed")).settings
+    paper = estimate_from_features(drawn.features, drawn.body, EstimationSettings(precision="fixed")).settings
     assert paper["encoder"] == [1.0] * 3
 
 
 def test_process_variance_of_undetermined_joints_is_the_encoders(world, monkeypatch, white_acceleration):
-    monkeypatch.setattr(evidence_search, "least", lambda part, warned: (part.precision.process, 1.0))
+    monkeypatch.setattr(evidence_search, "least_error_process", lambda part, warned: (part.precision.process, 1.0))
     blind = conftest.Linear(np.array([[300.0, 0.0, 0.0], [0.0, 250.0, 0.0]]), np.array([160.0, 120.0]))
     for seed in range(3):
         drawn = world(seed, model=blind, pixel_std=0.1)
-        asked = Estimation(method="smoother"), Estimation(without=("vision",)), Estimation()
-        beliefs = (estimate(drawn.features, drawn.body, settings) for settings in asked)
+        asked = EstimationSettings(method="smoother"), EstimationSettings(without=("vision",)), EstimationSettings()
+        beliefs = (estimate_from_features(drawn.features, drawn.body, settings) for settings in asked)
         together, alone, found = (np.array(belief.settings["process"]) for belief in beliefs)
         assert found[2] == pytest.approx(alone[2], rel=0.02)
         share = (found - together)[:2] / (alone - together)[:2]
@@ -141,7 +141,7 @@ def test_too_few_readings_to_learn_noise_from_give_a_warning(world, method, coun
     joints, until = drawn.features.joints, drawn.features.joints.t[count - 1]
     few = replace(joints, t=joints.t[:count], values=joints.values[:count], source_ns=joints.source_ns[:count])
     tracks = {name: _until(track, until) for name, track in drawn.features.tracks.items()}
-    found = estimate(replace(drawn.features, joints=few, tracks=tracks), drawn.body, Estimation(method=method))
+    found = estimate_from_features(replace(drawn.features, joints=few, tracks=tracks), drawn.body, EstimationSettings(method=method))
     warnings = [
         f.text for f in found.findings if f.severity == "warning" and "too few to learn their noise from" in f.text
     ]
@@ -158,7 +158,7 @@ def test_noise_far_above_the_bodys_is_learned_from_few_readings(world, method, c
         joints = drawn.features.joints
         few = replace(joints, t=joints.t[:count], values=joints.values[:count], source_ns=joints.source_ns[:count])
         tracks = {name: _until(track, few.t[-1]) for name, track in drawn.features.tracks.items()}
-        estimated = estimate(replace(drawn.features, joints=few, tracks=tracks), body, Estimation(method=method))
+        estimated = estimate_from_features(replace(drawn.features, joints=few, tracks=tracks), body, EstimationSettings(method=method))
         error = estimated.joints.values - drawn.truth.values[:count]
         columns = [joints.names.index(name) for name in body.joints]
         found.append(np.square(error).mean())
@@ -172,7 +172,7 @@ def test_noise_far_above_the_bodys_is_learned_from_few_readings(world, method, c
 def test_advice_on_few_readings_is_not_to_leave_out_vision(world):
     drawn = world(0, duration=0.3)
     body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=(0.0002**2,) * 3))
-    found = estimate(drawn.features, body, Estimation(method="smoother"))
+    found = estimate_from_features(drawn.features, body, EstimationSettings(method="smoother"))
     (advice,) = [finding.text for finding in found.findings if "standard deviations" in finding.text]
     assert "too few to learn their noise from" in advice and "without" not in advice
 
@@ -193,7 +193,7 @@ def test_evidence_is_that_of_a_kalman_filter(order, known):
     fresh[[0, 150]] = True
     ratios = 10.0 ** np.arange(-1.0, 10.0)
     usual = 3e-4
-    score, noise, _ = encoder_evidence.evidence(t, y, fresh, ratios, usual, order, known)
+    score, noise, _ = encoder_evidence.compute_encoder_evidence(t, y, fresh, ratios, usual, order, known)
     dt = np.diff(t, prepend=t[0])
     left, vague = np.arange(order)[::-1], np.diag(1e8 / np.median(dt[1:]) ** (2.0 * np.arange(order)))
     for index, ratio in enumerate(ratios):
@@ -208,7 +208,7 @@ def test_evidence_is_that_of_a_kalman_filter(order, known):
             if fresh[k]:
                 x, p, since = np.eye(order)[0] * y[k], vague, 0
             s, nu = p[0, 0] + 1.0, y[k] - x[0]
-            if since >= encoder_evidence.SKIP:
+            if since >= encoder_evidence.SKIPPED_READINGS:
                 squares, logs, count = squares + nu * nu / s, logs + np.log(s), count + 1
             x, p = x + p[0] / s * nu, p - np.outer(p[0], p[0]) / s
         own = np.linspace(-1e-3, 1e-3, 3) + np.log(noise[index])
@@ -222,18 +222,18 @@ def test_joints_at_rest_have_the_least_process_variance():
     for seed in range(20):
         y = 0.3 + np.random.default_rng(seed).normal(0.0, 0.02, len(t))
         noise, process = likeliest(t, y)
-        more.append(process > encoder_noise.floor(t, noise, 2))
+        more.append(process > encoder_noise.least_process_density(t, noise, 2))
     assert np.sum(more) <= 2  # with stretches of half the length 12 of them
 
 
 @pytest.mark.parametrize("end", [2.0, 19.0])
 def test_noise_is_tuned_on_readings_beside_images(world, monkeypatch, end):
-    monkeypatch.setattr(evidence_search, "INSTANTS", 200)
+    monkeypatch.setattr(evidence_search, "MAX_INSTANTS", 200)
     drawn = world(0, duration=20.0)
     track = drawn.features.tracks["effector"]
     features = replace(drawn.features, tracks={"effector": _until(track, end)})
-    problem = filtering.gathered(features, drawn.body, Estimation())
-    part = evidence_search.middle(problem)
+    problem = filtering.build_filter_problem(features, drawn.body, EstimationSettings())
+    part = evidence_search.cut_to_middle(problem)
     assert len(part.evidence.encoders.t) <= 200
     frames = part.evidence.sightings[0].t
     # no image is left out beside the readings that are kept
@@ -244,8 +244,8 @@ def test_noise_is_tuned_on_readings_beside_images(world, monkeypatch, end):
 @pytest.mark.parametrize("rows", [1, 5])
 def test_averages_of_close_readings_carry_their_noise(world, rows):
     drawn = world(0, duration=6.0, encoder_hz=100.0 * rows)
-    problem = filtering.gathered(drawn.features, drawn.body, Estimation())
-    few, all_of = evidence_search.thinned(problem).evidence.encoders, problem.evidence.encoders
+    problem = filtering.build_filter_problem(drawn.features, drawn.body, EstimationSettings())
+    few, all_of = evidence_search.thin_encoder_readings(problem).evidence.encoders, problem.evidence.encoders
     assert len(few.t) == len(all_of.t) // rows
     if rows == 1:
         return
@@ -257,8 +257,8 @@ def test_averages_of_close_readings_carry_their_noise(world, rows):
 def _thinned(world, t, values):
     found = Encoders(t, values, (t * 1e9).astype(np.int64))
     drawn = world(0, duration=1.0)
-    problem = filtering.gathered(drawn.features, drawn.body, Estimation())
-    return evidence_search.thinned(
+    problem = filtering.build_filter_problem(drawn.features, drawn.body, EstimationSettings())
+    return evidence_search.thin_encoder_readings(
         replace(problem, evidence=replace(problem.evidence, encoders=found))
     ).evidence.encoders
 

@@ -8,15 +8,15 @@ import pytest
 
 from bodylog.body_model import TouchConstants
 from bodylog.errors import UsageError
-from bodylog.estimation import estimate
+from bodylog.estimation import estimate_from_features
 from bodylog.estimation.methods import predictive_coding
-from bodylog.estimation.methods.paper_touch import Literal
-from bodylog.evaluation.scores import scores
-from bodylog.settings import Estimation
+from bodylog.estimation.methods.paper_touch import PaperTouch
+from bodylog.evaluation.scores import score_angles
+from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import Arm
 from tests.seeds import seeds
 
-DESCENT = Estimation(method="predictive-coding")
+DESCENT = EstimationSettings(method="predictive-coding")
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def still(drawn):
 @pytest.mark.parametrize("settings", [replace(DESCENT, preset="paper"), replace(DESCENT, precision="model")])
 def test_descent_corrects_a_wrong_start_of_a_still_arm(world, settings):
     features, x = still(world(0, duration=30.0))
-    found = estimate(features, world(0).body, replace(settings, start=tuple(x + 0.1)))
+    found = estimate_from_features(features, world(0).body, replace(settings, start=tuple(x + 0.1)))
     assert np.abs(found.joints.values[0] - x).max() > 0.01
     np.testing.assert_allclose(found.joints.values[-1], x, atol=2e-3)
 
@@ -57,8 +57,8 @@ def test_calibrated_descent_beats_the_encoders_and_the_papers_preset(world):
         drawn = world(seed)
         rmse = {}
         for preset in ("default", "paper"):
-            found = estimate(drawn.features, drawn.body, replace(DESCENT, preset=preset))
-            rmse[preset] = {s.name: s.value for s in scores(found, drawn.truth, drawn.features.joints)}
+            found = estimate_from_features(drawn.features, drawn.body, replace(DESCENT, preset=preset))
+            rmse[preset] = {s.name: s.value for s in score_angles(found, drawn.truth, drawn.features.joints)}
         assert rmse["default"]["rmse/joint"] < rmse["default"]["rmse/encoders"] < rmse["paper"]["rmse/joint"]
         ratios.append(rmse["default"]["rmse/joint"])
     assert np.mean(ratios) < 0.016
@@ -68,20 +68,20 @@ def test_explicit_steps_are_stable_just_below_the_named_step_and_not_above(world
     drawn = world(0, duration=20.0, model=linear_model)
     features, x = still(drawn)
     settings = replace(DESCENT, preset="paper", start=tuple(x + 0.01))
-    plan, *_ = predictive_coding.plan_for(features, drawn.body, replace(settings, rate=100.0))
+    plan, *_ = predictive_coding.build_grid_problem(features, drawn.body, replace(settings, rate=100.0))
     senses = tuple(replace(s, s=np.tile(s.predict(x[None])[0], (len(s.s), 1))) for s in plan.senses)
     stable = predictive_coding.stable_step(replace(plan, senses=senses))
     for factor, holds in ((0.95, True), (1.05, False)):
-        found = predictive_coding.descended(replace(plan, senses=senses, dt=factor * stable), True)[0]
+        found = predictive_coding.integrate_belief(replace(plan, senses=senses, dt=factor * stable), True)[0]
         assert bool(np.isfinite(found).all() and np.abs(found[-1] - x).max() < 0.01) is holds
 
 
 def test_descent_refuses_long_steps_and_names_the_longest(world):
     drawn = world(0, duration=10.0)
     with pytest.raises(UsageError, match=r"largest stable Δt is \S+ s; type --rate \S+ or --step implicit"):
-        estimate(drawn.features, drawn.body, replace(DESCENT, step="explicit"))
+        estimate_from_features(drawn.features, drawn.body, replace(DESCENT, step="explicit"))
     short = world(0, duration=1.0)
-    found = estimate(short.features, short.body, replace(DESCENT, step="explicit"))
+    found = estimate_from_features(short.features, short.body, replace(DESCENT, step="explicit"))
     assert "largest stable Δt" in found.findings[0].text
 
 
@@ -102,13 +102,13 @@ def test_suggested_rate_is_stable_without_a_warning(world, seed, over, rate):
     settings = replace(DESCENT, step="explicit", **over)
 
     def planned(rate):
-        return predictive_coding.plan_for(drawn.features, drawn.body, replace(settings, rate=rate))[0]
+        return predictive_coding.build_grid_problem(drawn.features, drawn.body, replace(settings, rate=rate))[0]
 
     (warned,) = predictive_coding.step_warning(planned(rate))
     typed = planned(float(re.search(r"type --rate (\S+) or --step implicit$", warned.text)[1]))
     assert not predictive_coding.step_warning(typed)
     first = tuple(replace(sense, s=sense.s[:1000], sigma=sense.sigma[:1000]) for sense in typed.senses)
-    found = predictive_coding.descended(replace(typed, t=typed.t[:1000], senses=first), True)[0]
+    found = predictive_coding.integrate_belief(replace(typed, t=typed.t[:1000], senses=first), True)[0]
     assert np.abs(found - drawn.truth.values[0]).max() < 0.5
 
 
@@ -116,7 +116,7 @@ def test_literal_touch_gradient_is_the_derivative(world):
     drawn = world(0, duration=1.0)
     model, x = drawn.body.senses["effector"], drawn.truth.values[0]
     hand = model.predict(x[None])[0] + 5.0
-    touch = Literal(model, TouchConstants(0.9, 0.004), np.array([True]), hand, np.array([0.8]))
+    touch = PaperTouch(model, TouchConstants(0.9, 0.004), np.array([True]), hand, np.array([0.8]))
     e, slope = touch.pull(0, x)
     for joint in range(3):
         step = 1e-6 * np.eye(3)[joint]
@@ -139,7 +139,7 @@ def test_descent_matches_a_nonlinear_encoder_in_its_units(world):
     values = np.repeat((x[None] ** 2)[:, [2, 0, 1]], len(joints.t), axis=0)
     features = replace(drawn.features, joints=replace(joints, values=values), tracks={})
     body = replace(drawn.body, senses={"encoders": Square()})
-    found = estimate(features, body, replace(DESCENT, preset="paper", start=(-0.8, 0.7, 0.6)))
+    found = estimate_from_features(features, body, replace(DESCENT, preset="paper", start=(-0.8, 0.7, 0.6)))
     np.testing.assert_allclose(found.joints.values[-1] ** 2, x**2, atol=0.01)
     assert found.joints.values[-1, 1] == pytest.approx(0.869, abs=0.01)
 
@@ -147,9 +147,9 @@ def test_descent_matches_a_nonlinear_encoder_in_its_units(world):
 @pytest.mark.parametrize("seed", range(2))
 def test_descent_on_encoders_alone_is_the_papers_kalman_filter_in_kind(world, seed):
     drawn = world(seed)
-    descent = estimate(drawn.features, drawn.body, replace(DESCENT, preset="paper", senses=("encoders",)))
-    kalman = estimate(drawn.features, drawn.body, Estimation(method="kalman"))
-    rmse = [{s.name: s.value for s in scores(found, drawn.truth, None)}["rmse/joint"] for found in (descent, kalman)]
+    descent = estimate_from_features(drawn.features, drawn.body, replace(DESCENT, preset="paper", senses=("encoders",)))
+    kalman = estimate_from_features(drawn.features, drawn.body, EstimationSettings(method="kalman"))
+    rmse = [{s.name: s.value for s in score_angles(found, drawn.truth, None)}["rmse/joint"] for found in (descent, kalman)]
     assert 0.5 < rmse[0] / rmse[1] < 2.0
 
 
@@ -167,8 +167,8 @@ def test_error_bars_know_the_models_error(world, seed, turns):
         tracks[name] = replace(seen, values=values, std=np.full(values.shape, 0.05))
         senses[name] = Crooked(0.1**2, turn=turn, seed=seed + 10 * k)
     body = replace(drawn.body, senses=senses)
-    found = estimate(replace(drawn.features, tracks=tracks), body, DESCENT)
-    score = {s.name: s.value for s in scores(found, truth, drawn.features.joints)}
+    found = estimate_from_features(replace(drawn.features, tracks=tracks), body, DESCENT)
+    score = {s.name: s.value for s in score_angles(found, truth, drawn.features.joints)}
     assert 0.7 < score["nees/joint"] < 2.0
     assert score["rmse/joint"] < (0.012, 0.003)[len(turns) - 1]
 
@@ -178,7 +178,7 @@ def test_joints_without_an_encoder_give_a_warning_about_error_bars(world):
     texts = {
         senses: [
             f.text
-            for f in estimate(drawn.features, drawn.body, settings).findings
+            for f in estimate_from_features(drawn.features, drawn.body, settings).findings
             if f.severity == "warning" and "expected" not in f.text
         ]
         for senses, settings in (
@@ -196,14 +196,14 @@ def test_joints_without_an_encoder_give_a_warning_about_error_bars(world):
 def test_methods_the_paper_has_not_refuse_its_preset(world, method):
     drawn = world(0, duration=2.0)
     with pytest.raises(UsageError, match=f"'paper' is not for {method}; type --method kalman or --method p"):
-        estimate(drawn.features, drawn.body, Estimation(method=method, preset="paper"))
+        estimate_from_features(drawn.features, drawn.body, EstimationSettings(method=method, preset="paper"))
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.5, 1.5])
 def test_warning_is_absent_for_a_moving_arm(world, speed):
     for seed in range(2):
         drawn = world(seed, duration=10.0, speed=speed, encoder_std=0.01)
-        assert not [f for f in estimate(drawn.features, drawn.body, DESCENT).findings if f.severity == "warning"]
+        assert not [f for f in estimate_from_features(drawn.features, drawn.body, DESCENT).findings if f.severity == "warning"]
 
 
 def test_warning_is_given_for_a_faulty_encoder(world):
@@ -211,22 +211,22 @@ def test_warning_is_given_for_a_faulty_encoder(world):
         drawn = world(seed, duration=14.0, encoder_std=0.005, camera_hz=30.0)
         joints = drawn.features.joints
         values = joints.values + 0.3 * np.outer(joints.t > 6.0, np.array(joints.names) == "pan")
-        found = estimate(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, DESCENT)
+        found = estimate_from_features(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, DESCENT)
         assert any("standard deviations from what was expected" in finding.text for finding in found.findings)
 
 
 @pytest.mark.parametrize(
     ("settings", "texts"),
     [
-        (Estimation(method="kalman", bias="on"), ["bias: 'on' is ignored by kalman; leave it out, or"]),
-        (Estimation(method="kalman", precision="model"), ["precision: 'model' is ignored by kalman; leave it out"]),
+        (EstimationSettings(method="kalman", bias="on"), ["bias: 'on' is ignored by kalman; leave it out, or"]),
+        (EstimationSettings(method="kalman", precision="model"), ["precision: 'model' is ignored by kalman; leave it out"]),
         (replace(DESCENT, bias="on"), ["bias: 'on' is ignored by predictive-coding; leave it out"]),
         (replace(DESCENT, precision="model"), []),
         (replace(DESCENT, precision="model", preset="paper"), ["precision: 'model' is ignored by predictive"]),
-        (Estimation(method="kalman", precision="fixed", bias="off"), []),
+        (EstimationSettings(method="kalman", precision="fixed", bias="off"), []),
     ],
 )
 def test_ignored_settings_give_a_warning(world, settings, texts):
     drawn = world(0, duration=4.0)
-    found = [f.text for f in estimate(drawn.features, drawn.body, settings).findings if "ignored by" in f.text]
+    found = [f.text for f in estimate_from_features(drawn.features, drawn.body, settings).findings if "ignored by" in f.text]
     assert len(found) == len(texts) and all(text.startswith(part) for text, part in zip(found, texts, strict=True))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from bodylog.errors import EvidenceError
-from bodylog.estimation import METHODS, estimate
-from bodylog.estimation.faults.repeats import stuck
-from bodylog.estimation.faults.threshold import NATS
-from bodylog.estimation.methods.finite import finite
-from bodylog.settings import Estimation
+from bodylog.estimation import METHODS, estimate_from_features
+from bodylog.estimation.faults.repeats import find_frozen_readings
+from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
+from bodylog.estimation.methods.finite import require_finite_estimate
+from bodylog.settings import EstimationSettings
 from tests.estimation import conftest as worlds
 from tests.estimation.resting import Drawn, drawn, judged
 from tests.seeds import seeds
@@ -21,8 +21,8 @@ from tests.seeds import seeds
 def test_methods_give_finite_results_for_a_mostly_resting_arm(method, step):
     world = drawn(0, Drawn("reach", step, encoder_hz=100.0))
     assert np.mean(np.diff(world.features.joints.values, axis=0) == 0.0) > 0.4
-    found = estimate(world.features, world.body, Estimation(method=method))
-    assert finite(found) is found and not found.faults
+    found = estimate_from_features(world.features, world.body, EstimationSettings(method=method))
+    assert require_finite_estimate(found) is found and not found.faults
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
@@ -32,7 +32,7 @@ def test_methods_give_finite_results_for_a_mostly_resting_arm(method, step):
 @pytest.mark.parametrize("seed", seeds(1, 5))
 def test_encoder_noise_of_quantised_readings_is_the_step(method, senses, step, noise, moves, seed):
     world = drawn(seed, Drawn(moves, step, noise))
-    found = estimate(world.features, world.body, Estimation(method=method, senses=senses))
+    found = estimate_from_features(world.features, world.body, EstimationSettings(method=method, senses=senses))
     error, nees = judged(world, found.joints, found.cov)
     assert error < 0.75 * max(step, noise) and nees < 1.8
     # variances are bounded at a microradian, the body's counts a little, and a joint at rest may be off by half a step
@@ -42,15 +42,15 @@ def test_encoder_noise_of_quantised_readings_is_the_step(method, senses, step, n
 @pytest.mark.parametrize("seed", [100, 101, 102, 103])
 def test_rounding_leaves_variances_of_near_exact_encoders_positive(seed):
     world = drawn(seed, Drawn("sines", 1e-6, encoder_hz=100.0, camera_hz=30.0))
-    found = estimate(world.features, world.body, Estimation())
-    assert found.settings["order"] == 3 and finite(found) is found
+    found = estimate_from_features(world.features, world.body, EstimationSettings())
+    assert found.settings["order"] == 3 and require_finite_estimate(found) is found
 
 
 @pytest.mark.parametrize("seed", [300, 304, 305])
 def test_encoder_noise_is_not_taken_for_the_motion_of_quick_reaches(white_acceleration, seed):
     """White acceleration fits rest and reaches best as if there were hardly any noise."""
     world = drawn(seed, Drawn("reach", noise=1e-3, encoder_hz=20.0))
-    found = estimate(world.features, world.body, Estimation(senses=("encoders",)))
+    found = estimate_from_features(world.features, world.body, EstimationSettings(senses=("encoders",)))
     np.testing.assert_allclose(np.sqrt(found.settings["encoder"]), 1e-3, rtol=0.3)
     assert judged(world, found.joints, found.cov)[1] < 1.5
 
@@ -58,7 +58,7 @@ def test_encoder_noise_is_not_taken_for_the_motion_of_quick_reaches(white_accele
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
 def test_estimate_follows_a_joint_after_a_long_rest(method):
     world = drawn(0, Drawn("reach", 1e-4))
-    found = estimate(world.features, world.body, Estimation(method=method, senses=("encoders",)))
+    found = estimate_from_features(world.features, world.body, EstimationSettings(method=method, senses=("encoders",)))
     truth = np.stack([np.interp(found.joints.t, world.truth.t, column) for column in world.truth.values.T], axis=1)
     assert np.abs(found.joints.values - truth).max() < 1e-3
 
@@ -82,7 +82,7 @@ def test_estimate_follows_joints_that_start_and_stop_within_a_few_readings(world
     errors = []
     for seed in range(4 * first, 4 * first + 4):
         drawn = world(seed, encoder_hz=30.0, encoder_std=1e-3, speed=1.0)
-        found = estimate(drawn.features, drawn.body, Estimation(method=method, senses=("encoders",)))
+        found = estimate_from_features(drawn.features, drawn.body, EstimationSettings(method=method, senses=("encoders",)))
         error, nees = judged(drawn, found.joints, found.cov)
         errors.append(error)
         assert 0.3 < nees < 3.0
@@ -99,17 +99,17 @@ def test_estimate_follows_joints_that_start_and_stop_within_a_few_readings(world
     ],
 )
 def test_estimates_contain_no_nan(world, field, text):
-    found = estimate(*(lambda w: (w.features, w.body))(world(0, duration=2.0)), Estimation())
+    found = estimate_from_features(*(lambda w: (w.features, w.body))(world(0, duration=2.0)), EstimationSettings())
     bad = getattr(found, field)
     values = np.array(bad if isinstance(bad, np.ndarray) else bad.values)
     values[(3, 1) if values.ndim > 1 else 3] = np.nan
     with pytest.raises(EvidenceError, match=text):
-        finite(replace(found, **{field: values if isinstance(bad, np.ndarray) else replace(bad, values=values)}))
+        require_finite_estimate(replace(found, **{field: values if isinstance(bad, np.ndarray) else replace(bad, values=values)}))
 
 
 def test_frozen_takes_rounding_alone_for_no_noise():
     """In motion, readings in steps scatter as noise does; yet they repeat while the joint is still."""
     joints = drawn(102, Drawn("reach", step=0.0015)).features.joints
     for k, name in enumerate(joints.names):
-        runs = list(stuck(joints.t, joints.values[:, k], lambda begin, end: 0.0))
-        assert runs and not any(run.nats > NATS for run in runs), name
+        runs = list(find_frozen_readings(joints.t, joints.values[:, k], lambda begin, end: 0.0))
+        assert runs and not any(run.nats > EVIDENCE_THRESHOLD_NATS for run in runs), name

@@ -7,10 +7,10 @@ import pytest
 from scipy.linalg import block_diag, expm
 
 from bodylog.estimation.inference import adjoint
-from bodylog.estimation.inference.filter_records import Dynamics, Readings
-from bodylog.estimation.inference.gate import FLAT, GATE
+from bodylog.estimation.inference.filter_records import FilterDynamics, FilterReadings
+from bodylog.estimation.inference.gate import FLAT_COST_NATS, GATE_SIGMA
 from bodylog.estimation.inference.reacquisition import START_STD
-from bodylog.estimation.inference.scan import Keep, restart, scan
+from bodylog.estimation.inference.scan import TraceDetail, restart_filter, filter_stretches
 
 JOINTS = 3
 
@@ -47,13 +47,13 @@ def moved(readings, dynamics, i, c):
 def inflated(nu, s, noise):
     """Gated noise and the outlier's cost, for the innovation nu of noise-free covariance s."""
     total = s + np.diag(noise)
-    over = nu @ np.linalg.solve(total, nu) / GATE**2
+    over = nu @ np.linalg.solve(total, nu) / GATE_SIGMA**2
     if over <= 1.0:
         return noise, 0.0
     noise = noise + np.diag(total) * (over**2 - 1.0)
     wide = s + np.diag(noise)
     square, logs = nu @ np.linalg.solve(wide, nu), np.linalg.slogdet(wide)[1] - np.linalg.slogdet(total)[1]
-    return noise, 0.5 * GATE**2 + FLAT * (1.0 - 1.0 / over) - 0.5 * square - 0.5 * logs
+    return noise, 0.5 * GATE_SIGMA**2 + FLAT_COST_NATS * (1.0 - 1.0 / over) - 0.5 * square - 0.5 * logs
 
 
 def measured(readings, dynamics, i, c, z, p):
@@ -119,14 +119,14 @@ def drawn(request, monkeypatch):
         monkeypatch.setattr(f"bodylog.estimation.inference.{module}.BLOCK", 16)
     order, drift, tracks, c = request.param
     rng, length, rows = np.random.default_rng(order + 10 * tracks + drift), 40, 2 + tracks % 2
-    dynamics = Dynamics(rng.uniform(0.1, 1.0, JOINTS), np.array([1e-4, 0.0, 1e-5]) if drift else None, order=order)
+    dynamics = FilterDynamics(rng.uniform(0.1, 1.0, JOINTS), np.array([1e-4, 0.0, 1e-5]) if drift else None, order=order)
     y = rng.normal(0.0, 0.1, (length, tracks, rows, c))
     y[rng.random((*y.shape[:2], 1, c)).repeat(rows, axis=2) < 0.6] = np.nan
     encoders = rng.normal(0.0, 0.1, (length, JOINTS, c))
     encoders[rng.random(encoders.shape) < 0.3] = np.nan
     encoders[rng.random(encoders.shape) < 0.03] += 4.0
     y[rng.random(y.shape) < 0.02] += 5.0
-    readings = Readings(
+    readings = FilterReadings(
         rng.uniform(0.001, 0.05, (length, c)), encoders, rng.uniform(1e-3, 1e-2, encoders.shape), y,
         rng.normal(0.0, 1.0, (length, tracks, rows, JOINTS, c)), rng.uniform(0.01, 0.1, y.shape),
     )  # fmt: skip
@@ -136,7 +136,7 @@ def drawn(request, monkeypatch):
 
 
 def compared(readings, dynamics, z, p):
-    trace = scan(readings, dynamics, z, p, Keep.COVARIANCES)
+    trace = filter_stretches(readings, dynamics, z, p, TraceDetail.COVARIANCES)
     for c in range(z.shape[1]):
         prior, prior_p, mean, cov, _, nats = filtered(readings, dynamics, z, p, c)
         np.testing.assert_allclose(trace.prior[..., c], prior[:, :JOINTS], atol=1e-9)
@@ -164,11 +164,11 @@ def test_scan_knows_changing_noise_and_restarts(drawn):
 
 def test_backward_pass_is_rauch_tung_striebels(drawn):
     readings, dynamics, z, p = drawn
-    trace, c = scan(readings, dynamics, z, p, Keep.COVARIANCES), z.shape[1]
+    trace, c = filter_stretches(readings, dynamics, z, p, TraceDetail.COVARIANCES), z.shape[1]
     ends = np.zeros_like(z)
-    found, _ = adjoint.smoothed(readings, trace, ends, dynamics)
+    found, _ = adjoint.smooth_states(readings, trace, ends, dynamics)
     outputs = np.r_[:JOINTS, dynamics.order * JOINTS : dynamics.size]
-    means, _ = adjoint.smoothed(readings, scan(readings, dynamics, z, p, Keep.MEANS), ends, dynamics)
+    means, _ = adjoint.smooth_states(readings, filter_stretches(readings, dynamics, z, p, TraceDetail.MEANS), ends, dynamics)
     np.testing.assert_allclose(means, found[:, outputs], atol=1e-12)
     # each stretch alone: nothing follows it
     alone = [replace(readings, **{name: np.ascontiguousarray(getattr(readings, name)[..., k : k + 1])
@@ -181,8 +181,8 @@ def test_backward_pass_is_rauch_tung_striebels(drawn):
         prior, prior_p, mean, cov, move, _ = filtered(readings, dynamics, z, p, k)
         x, spread = smoothed(prior, prior_p, mean, cov, move)
         np.testing.assert_allclose(found[..., k], x, atol=1e-7)
-        single = scan(own, dynamics, z[:, k : k + 1], p[..., k : k + 1], Keep.MEANS)
-        all_states, ours = adjoint.completed(own, single, ends[:, :1], dynamics)
+        single = filter_stretches(own, dynamics, z[:, k : k + 1], p[..., k : k + 1], TraceDetail.MEANS)
+        all_states, ours = adjoint.smooth_with_covariances(own, single, ends[:, :1], dynamics)
         np.testing.assert_allclose(all_states[..., 0], x, atol=1e-7)
         np.testing.assert_allclose(ours[..., 0], rows @ spread @ rows.T, atol=1e-8)
 
@@ -192,30 +192,30 @@ def test_stretches_that_follow_each_other_are_one(drawn):
     c, names = z.shape[1], ("dt", "encoders", "encoder_var", "y", "jac", "var")
     whole = replace(readings, **{name: np.ascontiguousarray(np.concatenate(
         [getattr(readings, name)[..., k : k + 1] for k in range(c)])) for name in names})  # fmt: skip
-    one = scan(whole, dynamics, z[:, :1], p[..., :1], Keep.COVARIANCES)
+    one = filter_stretches(whole, dynamics, z[:, :1], p[..., :1], TraceDetail.COVARIANCES)
     length = len(readings.dt)
     for k in range(1, c):
         z[:, k], p[..., k] = one.z[k * length - 1, :, 0], one.p[k * length - 1, ..., 0]
-    trace, ends = scan(readings, dynamics, z, p, Keep.MEANS), np.zeros_like(z)
+    trace, ends = filter_stretches(readings, dynamics, z, p, TraceDetail.MEANS), np.zeros_like(z)
     for _ in range(c):
-        _, start = adjoint.smoothed(readings, trace, ends, dynamics)
-        ends = adjoint.before(start)
-    x, cov = adjoint.completed(readings, trace, ends, dynamics)
-    one = scan(whole, dynamics, z[:, :1], p[..., :1], Keep.MEANS)
-    expected, expected_cov = adjoint.completed(whole, one, np.zeros((dynamics.size, 1)), dynamics)
+        _, start = adjoint.smooth_states(readings, trace, ends, dynamics)
+        ends = adjoint.adjoints_for_next_round(start)
+    x, cov = adjoint.smooth_with_covariances(readings, trace, ends, dynamics)
+    one = filter_stretches(whole, dynamics, z[:, :1], p[..., :1], TraceDetail.MEANS)
+    expected, expected_cov = adjoint.smooth_with_covariances(whole, one, np.zeros((dynamics.size, 1)), dynamics)
     np.testing.assert_allclose(np.concatenate(np.moveaxis(x, -1, 0)), expected[..., 0], atol=1e-9)
     np.testing.assert_allclose(np.concatenate(np.moveaxis(cov, -1, 0)), expected_cov[..., 0], atol=1e-9)
 
 
-def test_restart_filters_anew_until_the_start_is_forgotten(drawn):
+def test_restart_filters_until_the_start_is_forgotten(drawn):
     readings, dynamics, z, p = drawn
-    fresh, trace = (scan(readings, dynamics, *start, Keep.MEANS) for start in ((z, p), (z + 0.3, 2.0 * p)))
-    restart(readings, dynamics, z, p, trace)
+    fresh, trace = (filter_stretches(readings, dynamics, *start, TraceDetail.MEANS) for start in ((z, p), (z + 0.3, 2.0 * p)))
+    restart_filter(readings, dynamics, z, p, trace)
     for name in ("prior", "prior_cov", "z", "cov", "end_p", "nats", "encoder_d", "p", "information"):
         np.testing.assert_array_equal(getattr(trace, name), getattr(fresh, name))
     second = fresh.blocks[1]
     trace.z[second], trace.end_p[:] = 0.0, 0.0
-    restart(readings, dynamics, z, p, trace)  # the first block ends as before
+    restart_filter(readings, dynamics, z, p, trace)  # the first block ends as before
     assert not trace.z[second].any() and not trace.end_p.any()
 
 
@@ -225,12 +225,12 @@ def test_candidates_stand_side_by_side(drawn):
     processes = np.tile(dynamics.process[:, None] * factors, c)
     var = np.ascontiguousarray((readings.var[..., None] * factors).reshape(*readings.var.shape[:-1], 2 * c))
     both = np.repeat(z, 2, axis=-1), np.repeat(p, 2, axis=-1)
-    together = scan(replace(readings, var=var), replace(dynamics, process=processes), *both)
-    first = scan(replace(readings, var=var), replace(dynamics, process=processes), *both, every=2)
+    together = filter_stretches(replace(readings, var=var), replace(dynamics, process=processes), *both)
+    first = filter_stretches(replace(readings, var=var), replace(dynamics, process=processes), *both, every=2)
     np.testing.assert_array_equal(first.nats, together.nats)
     for k, factor in enumerate(factors):
         own = replace(dynamics, process=dynamics.process * factor)
-        alone = scan(replace(readings, var=np.ascontiguousarray(var[..., k::2])), own, z, p)
+        alone = filter_stretches(replace(readings, var=np.ascontiguousarray(var[..., k::2])), own, z, p)
         for name in ("prior", "prior_cov", "z", "cov", "end_p", "nats", "encoder_d"):
             np.testing.assert_array_equal(getattr(together, name)[..., k::2], getattr(alone, name))
             if k == 0 and name != "nats":

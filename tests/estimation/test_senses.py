@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bodylog.errors import EvidenceError, LogError, ModelError, UsageError
-from bodylog.estimation import METHODS, estimate
-from bodylog.estimation.faults.screening import screened
-from bodylog.settings import Estimation
+from bodylog.estimation import METHODS, estimate_from_features
+from bodylog.estimation.faults.screening import screen_measurements
+from bodylog.settings import EstimationSettings
 
 
 def unseen(drawn):
@@ -20,8 +20,8 @@ def test_joints_are_matched_by_name_whatever_their_order(world):
     drawn = world(0, duration=3.0)
     joints = drawn.features.joints
     turned = replace(joints, names=joints.names[::-1], values=joints.values[:, ::-1])
-    one = estimate(drawn.features, drawn.body, Estimation())
-    two = estimate(replace(drawn.features, joints=turned), drawn.body, Estimation())
+    one = estimate_from_features(drawn.features, drawn.body, EstimationSettings())
+    two = estimate_from_features(replace(drawn.features, joints=turned), drawn.body, EstimationSettings())
     np.testing.assert_array_equal(one.joints.values, two.joints.values)
     assert one.joints.names == ("pan", "lift", "elbow")
 
@@ -30,59 +30,59 @@ def test_joints_are_matched_by_name_whatever_their_order(world):
 def test_estimate_of_another_robots_log_names_both_robots(world, method):
     drawn = world(0, duration=2.0)
     with pytest.raises(ModelError, match=r"(?s)gripper.*elbow, pan, lift") as caught:
-        estimate(drawn.features, replace(drawn.body, joints=("pan", "lift", "gripper")), Estimation(method=method))
+        estimate_from_features(drawn.features, replace(drawn.body, joints=("pan", "lift", "gripper")), EstimationSettings(method=method))
     assert caught.value.exit_code == 65 and "\n" not in str(caught.value)
 
 
 def test_sense_without_sightings_is_refused_only_if_named(world):
     drawn = world(0, duration=3.0)
     with pytest.raises(EvidenceError, match=r"vision: requested.*0 of 36 used, 36 out of view"):
-        estimate(unseen(drawn), drawn.body, Estimation(senses=("encoders", "vision")))
-    found = estimate(unseen(drawn), drawn.body, Estimation())
+        estimate_from_features(unseen(drawn), drawn.body, EstimationSettings(senses=("encoders", "vision")))
+    found = estimate_from_features(unseen(drawn), drawn.body, EstimationSettings())
     assert any("effector: nothing usable" in finding.text for finding in found.findings)
 
 
 def test_selecting_touch_without_skin_is_an_error(world):
     drawn = world(0, duration=2.0)
     with pytest.raises(EvidenceError, match="touch: requested"):
-        estimate(drawn.features, drawn.body, Estimation(senses=("encoders", "touch")))
+        estimate_from_features(drawn.features, drawn.body, EstimationSettings(senses=("encoders", "touch")))
 
 
 def test_unknown_sense_error_lists_the_available(world):
     drawn = world(0, duration=2.0)
     possible = "encoders, vision, touch, effector, elbow, lift, pan"
     with pytest.raises(UsageError, match=f"'sonar' found, possible: {possible}"):
-        estimate(drawn.features, drawn.body, Estimation(senses=("sonar",)))
+        estimate_from_features(drawn.features, drawn.body, EstimationSettings(senses=("sonar",)))
 
 
 def test_estimate_refuses_a_log_without_any_sense(world):
     drawn = world(0, duration=2.0)
     with pytest.raises(EvidenceError, match="no sense has measurements"):
-        estimate(replace(unseen(drawn), joints=None), drawn.body, Estimation())
+        estimate_from_features(replace(unseen(drawn), joints=None), drawn.body, EstimationSettings())
 
 
 def test_vision_alone_needs_a_start(world):
     drawn = world(0, duration=2.0)
     features = replace(drawn.features, joints=None)
     with pytest.raises(LogError, match=r"type in robot.toml \[estimate\] start = "):
-        estimate(features, drawn.body, Estimation())
-    found = estimate(features, drawn.body, Estimation(start=tuple(drawn.truth.values[0])))
+        estimate_from_features(features, drawn.body, EstimationSettings())
+    found = estimate_from_features(features, drawn.body, EstimationSettings(start=tuple(drawn.truth.values[0])))
     assert np.isfinite(found.joints.values).all()
     with pytest.raises(UsageError, match="2 angles given, the body has 3"):
-        estimate(features, drawn.body, Estimation(start=(0.0, 0.0)))
+        estimate_from_features(features, drawn.body, EstimationSettings(start=(0.0, 0.0)))
 
 
 @pytest.mark.parametrize(("field", "value"), [("method", "oracle"), ("rate", -1.0)])
 def test_invalid_settings_are_refused(world, field, value):
     drawn = world(0, duration=2.0)
     with pytest.raises(UsageError, match=field):
-        estimate(drawn.features, drawn.body, replace(Estimation(), **{field: value}))
+        estimate_from_features(drawn.features, drawn.body, replace(EstimationSettings(), **{field: value}))
 
 
 @pytest.mark.parametrize("without, warned", [((), False), (("lift",), False), (("encoders",), True)])
 def test_more_unobserved_joints_than_image_numbers_give_a_warning(world, without, warned):
     drawn = world(0, duration=2.0)
-    found = estimate(drawn.features, drawn.body, Estimation(without=without))
+    found = estimate_from_features(drawn.features, drawn.body, EstimationSettings(without=without))
     texts = [finding.text for finding in found.findings if finding.text.startswith("vision: 2 numbers")]
     assert bool(texts) == warned
     assert not warned or "3 joints without an encoder (pan, lift, elbow)" in texts[0]
@@ -93,13 +93,13 @@ def test_more_unobserved_joints_than_image_numbers_give_a_warning(world, without
 def test_baseline_refuses_senses_it_does_not_use(world, asked):
     drawn = world(0, duration=2.0)
     with pytest.raises(UsageError, match=f"kalman hears encoders alone, but {asked[-1]} is asked for"):
-        estimate(drawn.features, drawn.body, Estimation(method="kalman", senses=asked))
+        estimate_from_features(drawn.features, drawn.body, EstimationSettings(method="kalman", senses=asked))
 
 
 def test_senses_refuse_a_track_missing_in_the_log(world):
     drawn = world(0, duration=2.0)
     with pytest.raises(EvidenceError, match=r"effector: requested, but without measurements"):
-        estimate(replace(drawn.features, tracks={}), drawn.body, Estimation(senses=("encoders", "effector")))
+        estimate_from_features(replace(drawn.features, tracks={}), drawn.body, EstimationSettings(senses=("encoders", "effector")))
 
 
 def test_joint_without_readings_is_counted_and_needs_a_start(world):
@@ -109,10 +109,10 @@ def test_joint_without_readings_is_counted_and_needs_a_start(world):
     values[:, joints.names.index("lift")] = np.nan
     mute = replace(drawn.features, joints=replace(joints, values=values))
     with pytest.raises(LogError, match=r"no reading of lift; type in robot.toml \[estim"):
-        estimate(mute, drawn.body, Estimation())
+        estimate_from_features(mute, drawn.body, EstimationSettings())
     with pytest.raises(EvidenceError, match="lift: requested"):
-        estimate(mute, drawn.body, Estimation(senses=("lift", "effector"), start=(0.0, 0.0, 0.0)))
-    found = estimate(mute, drawn.body, Estimation(start=tuple(drawn.truth.values[0][[0, 1, 2]])))
+        estimate_from_features(mute, drawn.body, EstimationSettings(senses=("lift", "effector"), start=(0.0, 0.0, 0.0)))
+    found = estimate_from_features(mute, drawn.body, EstimationSettings(start=tuple(drawn.truth.values[0][[0, 1, 2]])))
     assert found.used["encoders"].rejected == {"without lift": len(values)}
 
 
@@ -122,7 +122,7 @@ def test_tracks_are_gathered_in_the_logs_order(world):
     names = ("side/effector", "effector", "tip", "wrist", "back", "arm")
     body = replace(drawn.body, senses=dict.fromkeys(names, drawn.body.senses["effector"]))
     features = replace(drawn.features, tracks=dict.fromkeys(names, drawn.features.tracks["effector"]))
-    assert [s.name for s in screened(features, body, Estimation()).sightings] == list(names)
+    assert [s.name for s in screen_measurements(features, body, EstimationSettings()).sightings] == list(names)
 
 
 def _quiet(drawn, begin, end, joints=(0, 1, 2)):
@@ -130,7 +130,7 @@ def _quiet(drawn, begin, end, joints=(0, 1, 2)):
     read = drawn.features.joints
     values, rows = read.values.copy(), (read.t > begin) & (read.t < end)
     values[np.ix_(rows, joints)] = np.nan
-    found = estimate(replace(drawn.features, joints=replace(read, values=values)), drawn.body, Estimation(bias="off"))
+    found = estimate_from_features(replace(drawn.features, joints=replace(read, values=values)), drawn.body, EstimationSettings(bias="off"))
     return [finding.text for finding in found.findings if " silent from " in finding.text]
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from bodylog import body, pipeline, sim
-from bodylog.estimation import estimate
-from bodylog.evaluation.scores import at_times, scores
-from bodylog.settings import Body, Estimation, Settings, Topics
+from bodylog.estimation import estimate_from_features
+from bodylog.evaluation.scores import truth_at_times, score_angles
+from bodylog.settings import BodySettings, EstimationSettings, Settings, TopicSettings
 from tests.estimation import textbook
 
 SEEDS = range(10)
@@ -45,11 +45,11 @@ def attainable(features, truth, names, lines):
     for known, track in zip(lines, tracks, strict=True):
         seen = np.full((len(t), 2), np.nan)
         seen[np.searchsorted(t, track.t)] = track.values
-        off = track.values - known.line(at_times(truth, list(names), track.t))[0]
+        off = track.values - known.line(truth_at_times(truth, list(names), track.t))[0]
         frames.append((known, seen, np.nanmean(off**2, axis=0)))
     given = (t, readings, np.full(3, ENCODER_STD**2), frames, PROCESSES)
     found = {"laplace": textbook.filtered(*given), "smoother": textbook.smoothed(*given)[1]}
-    at, true = np.searchsorted(t, joints.t), at_times(truth, list(names), joints.t)[:, None]
+    at, true = np.searchsorted(t, joints.t), truth_at_times(truth, list(names), joints.t)[:, None]
     apart = {method: mean[at, :, :3] - true for method, (mean, _) in found.items()}
     return {method: float(np.sqrt((one**2).mean(axis=(0, 2))).min()) for method, one in apart.items()}
 
@@ -66,10 +66,10 @@ def row(features, learned, truth, lines):
     found, names = {}, learned.joints
     least = attainable(features, truth, names, lines)
     for method in FACTORS:
-        belief = estimate(features, learned, Estimation(method=method))
+        belief = estimate_from_features(features, learned, EstimationSettings(method=method))
         assert not belief.faults
         whole, hidden = (
-            {s.name: s.value for s in scores(part, truth, None)} for part in (belief, within(belief, *HIDDEN))
+            {s.name: s.value for s in score_angles(part, truth, None)} for part in (belief, within(belief, *HIDDEN))
         )
         own = (whole["rmse/joint"] / least[method], *(whole[f"nees/joint/{name}"] for name in names))
         gap = np.mean([hidden[f"nees/joint/{name}"] for name in names]), hidden["coverage_2sigma/joint"]
@@ -93,8 +93,8 @@ def judge(rows):
 
 def seen(folder, scenario, seed, cameras):
     """A simulated log and what is found in it."""
-    settings = Settings(topics=Topics(camera=CAMERAS[:cameras]))
-    sim.record(scenario, folder / "log.mcap", seed=seed, size=SIZE, cameras=cameras)
+    settings = Settings(topics=TopicSettings(camera=CAMERAS[:cameras]))
+    sim.record_scenario(scenario, folder / "log.mcap", seed=seed, size=SIZE, cameras=cameras)
     return pipeline.observe(folder / "log.mcap", settings)
 
 
@@ -106,7 +106,7 @@ def test_simulated_reaches(tmp_path, cameras):
     rows, lines = [], textbook.eyes(ARMS["ur5"], UR5, SIZE)[:cameras]
     for seed in SEEDS:
         explored = seen(tmp_path, "babble", seed, cameras)[1]
-        learned = body.learn([explored], Settings(body=Body(joints=UR5)), {}).model
+        learned = body.learn_body([explored], Settings(body=BodySettings(joints=UR5)), {}).model
         read, features = seen(tmp_path, "reach", seed, cameras)
         rows.append(row(features, learned, read.truth, lines))
     judge(rows)
@@ -117,18 +117,18 @@ def test_still_arms_in_drawn_postures(tmp_path, monkeypatch):
     from bodylog.sim import motion, plan, scenarios
 
     def stands(request):
-        away = 0.7 * plan.swing(request, None) * request.rng.uniform(-1, 1, len(request.arm.home))
-        return plan.Plan(motion.still(np.array(request.arm.home) + away), 0.01, plan.plain)
+        away = 0.7 * plan.swing_of_joints(request, None) * request.rng.uniform(-1, 1, len(request.arm.home))
+        return plan.ScenarioPlan(motion.stand_still(np.array(request.arm.home) + away), 0.01, plan.read_angles_with_noise)
 
     monkeypatch.setitem(scenarios.SCENARIOS, "still", plan.Scenario("an arm that stands still", stands, 30.0))
     explored = [seen(tmp_path, "babble", seed, 1)[1] for seed in SEEDS]
-    learned = [body.learn([one], Settings(body=Body(joints=UR5)), {}).model for one in explored]
+    learned = [body.learn_body([one], Settings(body=BodySettings(joints=UR5)), {}).model for one in explored]
     ratios = {method: [] for method in FACTORS}
     for seed in range(3 * len(SEEDS)):
         read, features = seen(tmp_path, "still", seed, 1)
         for method, found in ratios.items():
-            belief = estimate(features, learned[seed % len(SEEDS)], Estimation(method=method))
-            score = {s.name: s.value for s in scores(belief, read.truth, None)}
+            belief = estimate_from_features(features, learned[seed % len(SEEDS)], EstimationSettings(method=method))
+            score = {s.name: s.value for s in score_angles(belief, read.truth, None)}
             found.append([score[f"nees/joint/{name}"] for name in UR5])
     for method, found in ratios.items():
         mean, error = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(len(found))

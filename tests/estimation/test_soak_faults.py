@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate
-from bodylog.experiments.beliefs import ours
-from bodylog.experiments.lab import ELSEWHERE, Lab
-from bodylog.settings import Estimation
+from bodylog.estimation import estimate_from_features
+from bodylog.experiments.beliefs import believe_by_default
+from bodylog.experiments.lab import OTHER_LOG_SEED, Lab
+from bodylog.settings import EstimationSettings
 
 SEEDS = range(10)
 SOUND = (
@@ -39,9 +39,9 @@ def lab(request):
 
 
 def believed(lab, scenario, seed, options):
-    elsewhere = ELSEWHERE * (scenario in ("touch", "horizontal"))
+    elsewhere = OTHER_LOG_SEED * (scenario in ("touch", "horizontal"))
     run, body = lab.observed(scenario, seed + elsewhere, **options), lab.body("default", seed)
-    return run, estimate(run.features, body, Estimation())
+    return run, estimate_from_features(run.features, body, EstimationSettings())
 
 
 @pytest.mark.parametrize(("scenario", "options"), SOUND)
@@ -72,7 +72,7 @@ def test_frozen_encoder_adds_less_than_three_milliradians_everywhere(world, join
         values, column = joints.values.copy(), joints.names.index(joint)
         values[joints.t >= 8.0, column] = values[np.searchsorted(joints.t, 8.0), column]
         features = replace(drawn.features, joints=replace(joints, values=values))
-        found = estimate(features, drawn.body, Estimation())
+        found = estimate_from_features(features, drawn.body, EstimationSettings())
         assert [(fault.name, fault.kind) for fault in found.faults] == [(joint, "frozen")]
         assert np.sqrt(np.mean((found.joints.values - drawn.truth.values) ** 2)) < 3e-3
 
@@ -83,7 +83,7 @@ def test_encoder_step_of_several_deviations_is_always_named(world, size):
         drawn = world(seed, duration=16.0, encoder_std=0.01, pixel_std=0.5, camera_hz=20.0)
         joints = drawn.features.joints
         values = joints.values + size * np.outer(joints.t >= 8.0, np.array(joints.names) == "pan")
-        found = estimate(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, Estimation())
+        found = estimate_from_features(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, EstimationSettings())
         (fault,) = found.faults
         assert fault.name == "pan" and 7.9 < fault.since < 10.0
         assert fault.size == pytest.approx(size, abs=0.04)
@@ -95,7 +95,7 @@ def test_rubber_hand_moves_the_estimate_only_when_synchronous(lab):
         body, drift = lab.body("default", seed), {}
         for variant in ("synchronous", "asynchronous"):
             run = lab.observed("rubber-hand", seed, duration=20.0, variant=variant, place="left")
-            with_it, without = ours(run, body), ours(run, body, ("encoders",))
+            with_it, without = believe_by_default(run, body), believe_by_default(run, body, ("encoders",))
             apart = [body.senses["effector"].predict(belief.x)[0][:, 0] for belief in (with_it, without)]
             drift[variant] = float(np.abs(apart[0] - apart[1])[with_it.t > 5.0].max())
         print(seed, drift)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bodylog.body_model import BodyModel, Noise, TouchConstants
-from bodylog.estimation import estimate
+from bodylog.estimation import estimate_from_features
 from bodylog.recording import recording
-from bodylog.settings import Estimation, Settings
+from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Features, Series
 from tests.estimation.resting import MOTIONS, Drawn, drawn
 
@@ -35,7 +35,7 @@ def accused(joints: Series) -> list[str]:
     """Faults found in joints alone."""
     m = len(joints.names)
     body = BodyModel(joints.names, {}, Noise((1e-4,) * m, {}, (0.3,) * m), TouchConstants(1.0, 0.005), {})
-    found = estimate(Features(joints, {}, None, (), (), {}), body, Estimation())
+    found = estimate_from_features(Features(joints, {}, None, (), (), {}), body, EstimationSettings())
     return [f"{fault.name} {fault.kind} {fault.since:.2f} s" for fault in found.faults]
 
 
@@ -46,7 +46,7 @@ def test_faults_are_absent_for_drawn_encoders(moves, how):
     for seed in (100, 101, 102, 103):
         world = drawn(seed, Drawn(moves, **how))
         for senses in (None, ("encoders",)):
-            assert not estimate(world.features, world.body, Estimation(senses=senses)).faults
+            assert not estimate_from_features(world.features, world.body, EstimationSettings(senses=senses)).faults
 
 
 LOGS = (
@@ -63,7 +63,7 @@ def test_faults_are_absent_in_readings_of_real_logs(name):
     path = SHARED / "logs" / name
     if not path.exists():
         pytest.skip(f"{path} is not at hand")
-    joints = recording.read(path, Settings()).joints
+    joints = recording.read_recording(path, Settings()).joints
     assert joints is not None and not accused(joints)
 
 

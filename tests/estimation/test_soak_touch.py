@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from bodylog import body, pipeline, sim
-from bodylog.estimation import estimate
-from bodylog.evaluation.scores import at_times
-from bodylog.settings import Body, Estimation, Settings
+from bodylog.estimation import estimate_from_features
+from bodylog.evaluation.scores import truth_at_times
+from bodylog.settings import BodySettings, EstimationSettings, Settings
 
 SEEDS = range(10)
 ELSEWHERE = 1000
 UR5 = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 SHIFT = 0.1
-FELT = Estimation(without=("encoders", "vision"))
+FELT = EstimationSettings(without=("encoders", "vision"))
 FORMS = {"likelihood": FELT, "literal": replace(FELT, method="predictive-coding", precision="fixed", touch="literal")}
 FAINT = 0.001
 """px: lower bound on drift."""
@@ -27,7 +27,7 @@ def seen(tmp_path_factory):
     path = tmp_path_factory.mktemp("touched") / "log.mcap"
 
     def look(scenario, seed, **options):
-        sim.record(scenario, path, seed=seed, size=(320, 240), **options)
+        sim.record_scenario(scenario, path, seed=seed, size=(320, 240), **options)
         return pipeline.observe(path, Settings())
 
     return look
@@ -37,15 +37,15 @@ def seen(tmp_path_factory):
 def bodies(seen):
     """A body for each seed, learned from an exploration and from touches of another log."""
     logs = [(seen("babble", seed)[1], seen("touch", seed + ELSEWHERE)[1]) for seed in SEEDS]
-    return [body.learn(both, Settings(body=Body(joints=UR5)), {}).model for both in logs]
+    return [body.learn_body(both, Settings(body=BodySettings(joints=UR5)), {}).model for both in logs]
 
 
 def gained(read, features, learned, settings):
     """Improvement by touch of the effector (px RMS while touched) and the joints (rad RMS)."""
     model = learned.senses["effector"]
-    start = at_times(read.truth, list(UR5), np.zeros(1))[0] + SHIFT
-    found = estimate(features, learned, replace(settings, start=tuple(start)))
-    t, true = found.joints.t, at_times(read.truth, list(UR5), found.joints.t)
+    start = truth_at_times(read.truth, list(UR5), np.zeros(1))[0] + SHIFT
+    found = estimate_from_features(features, learned, replace(settings, start=tuple(start)))
+    t, true = found.joints.t, truth_at_times(read.truth, list(UR5), found.joints.t)
     during = np.any([(t > touch.onset + 0.2) & (t < touch.offset) for touch in features.touches], axis=0)
 
     def apart(x):
@@ -72,7 +72,7 @@ def test_rubber_hand_pulls_twenty_times_more_when_synchronous(seen, bodies):
         for rhythm in ("synchronous", "asynchronous"):
             _, features = seen("rubber-hand", seed, duration=20.0, variant=rhythm, place="right")
             touched, alone = (
-                estimate(features, learned, Estimation(without=without)).joints.values
+                estimate_from_features(features, learned, EstimationSettings(without=without)).joints.values
                 for without in (("vision",), ("vision", "touch"))
             )
             pulled = learned.senses["effector"].predict(touched)[0] - learned.senses["effector"].predict(alone)[0]

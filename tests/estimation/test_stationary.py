@@ -8,12 +8,12 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 
 from bodylog.errors import UsageError
 from bodylog.estimation.inference import gauss_newton, reacquisition
-from bodylog.estimation.inference.silence import smoothed
+from bodylog.estimation.inference.silence import smooth_across_silence
 from bodylog.estimation.inference.stationary import Stationary
-from bodylog.estimation.inference.walk import walk
-from bodylog.estimation.live.estimator import Estimator
+from bodylog.estimation.inference.walk import filter_sequentially
+from bodylog.estimation.live.estimator import LiveEstimator
 from bodylog.estimation.methods import filtering, smoother
-from bodylog.settings import Estimation
+from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import discretised
 from tests.estimation.test_lost import muted
 
@@ -77,7 +77,7 @@ def textbook(problem, world, order, stationary):
         dt, before = now - before, now
         f, q = discretised(process, dt, order)
         shift = np.zeros(k)
-        if now - last > reacquisition.SILENCE:
+        if now - last > reacquisition.LONG_SILENCE_S:
             for joint in range(3):
                 own = np.ix_(range(joint, k, 3), range(joint, k, 3))
                 var = np.square(reacquisition.START_STD[:order])
@@ -106,27 +106,27 @@ def textbook(problem, world, order, stationary):
 def test_silence_of_a_linear_body_is_that_of_full_matrices(world, linear_model, order):
     drawn = world(3, duration=7.0, model=linear_model)
     features = muted(drawn.features, 3.0, 4.0)
-    problem = filtering.gathered(features, drawn.body, Estimation(precision="model", bias="off"))
+    problem = filtering.build_filter_problem(features, drawn.body, EstimationSettings(precision="model", bias="off"))
     precision = replace(problem.precision, order=order, near={})
     problem = replace(problem, precision=precision)
     problem = replace(problem, stationary=Stationary(problem.start, np.square(
         np.repeat(np.array(reacquisition.START_STD[:order])[:, None], 3, axis=1)), precision.process))  # fmt: skip
     assert problem.stepwise and problem.held.any()
     z, p, smooth, cov = textbook(problem, drawn, order, problem.stationary)
-    for found in (walk(problem), gauss_newton.solve(problem)):
+    for found in (filter_sequentially(problem), gauss_newton.solve_by_gauss_newton(problem)):
         np.testing.assert_allclose(found.fold.unfold(found.trace.z), z, atol=1e-7)
         np.testing.assert_allclose(found.fold.unfold(found.trace.cov), p[:, :3, :3], atol=1e-7)
-    for found in (smoothed(problem), smoother.solve(problem)):
+    for found in (smooth_across_silence(problem), smoother.solve_map_path(problem)):
         np.testing.assert_allclose(found.fold.unfold(found.z), smooth, atol=1e-6)
         np.testing.assert_allclose(found.fold.unfold(found.cov), cov[:, :3, :3], atol=1e-6)
 
 
 def test_own_mean_squares_are_carried_to_a_live_filter(world):
     drawn = world(0, duration=9.0)
-    found = filtering.estimate(muted(drawn.features, 4.0, 6.0), drawn.body, Estimation()).settings
+    found = filtering.estimate_by_filter(muted(drawn.features, 4.0, 6.0), drawn.body, EstimationSettings()).settings
     rms = np.sqrt(np.square(np.gradient(drawn.truth.values, drawn.truth.t, axis=0)).mean(axis=0))
     np.testing.assert_allclose(np.sqrt(found["moments"][1]), rms, rtol=0.4)
-    assert "moments" not in filtering.estimate(drawn.features, drawn.body, Estimation()).settings
-    Estimator(drawn.body, learned=found)
+    assert "moments" not in filtering.estimate_by_filter(drawn.features, drawn.body, EstimationSettings()).settings
+    LiveEstimator(drawn.body, learned=found)
     with pytest.raises(UsageError, match=r"learned: moments is .* numbers above 0"):
-        Estimator(drawn.body, learned={**found, "moments": found["moments"][0]})
+        LiveEstimator(drawn.body, learned={**found, "moments": found["moments"][0]})

@@ -14,20 +14,20 @@ import pytest
 from bodylog import body as learning
 from bodylog.body_model import BodyModel
 from bodylog.errors import LogError, ModelError, UsageError
-from bodylog.estimation import estimate
-from bodylog.estimation.inference.filter_records import Dynamics
+from bodylog.estimation import estimate_from_features
+from bodylog.estimation.inference.filter_records import FilterDynamics
 from bodylog.estimation.inference.instant import Line
 from bodylog.estimation.inference.sequential import SequentialFilter
-from bodylog.estimation.inference.step import Step
-from bodylog.estimation.live.estimator import Belief, Estimator
+from bodylog.estimation.inference.step import FilterStep
+from bodylog.estimation.live.estimator import Belief, LiveEstimator
 from bodylog.estimation.measurements import touch
 from bodylog.estimation.noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame
-from bodylog.settings import Estimation, Settings
+from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Estimate, Features, Series
 from tests.estimation.conftest import Explored, discretised
 from tests.seeds import seeds
 
-MODEL = Estimation(precision="model", bias="off")
+MODEL = EstimationSettings(precision="model", bias="off")
 ANGLE, SPREAD, NATS = 1e-9, 1e-7, 1e-6
 """rad · relative to the standard deviations · nats: largest difference of live and batch filter."""
 Message = tuple[float, str, object]
@@ -45,13 +45,13 @@ def messages_of(features: Features, body: BodyModel, late: Callable[[str], float
             places = track.values if track.std is None else np.hstack([track.values, track.std])
             messages += [(t + late(name), (t, name, place)) for t, place in zip(track.t, places, strict=True)]
     if features.touches:
-        found, _ = touch.sightings(features, body)
+        found, _ = touch.read_touch_sighting(features, body)
         places = np.hstack([found.values, np.sqrt(found.var)])
         messages += [(at + late("touch"), (at, "touch", place)) for at, place in zip(found.t, places, strict=True)]
     return [message for _, message in sorted(messages, key=lambda pair: pair[0])]
 
 
-def step(live: Estimator, messages: Iterable[Message]) -> list[Belief]:
+def step(live: LiveEstimator, messages: Iterable[Message]) -> list[Belief]:
     return [live.step(t, **{sense: reading}) for t, sense, reading in messages]  # type: ignore[arg-type]
 
 
@@ -79,9 +79,9 @@ def assert_same_errors(beliefs: list[Belief], messages: list[Message], batch: Es
         np.testing.assert_allclose(ours, errors.values, atol=SPREAD)
 
 
-def check(features: Features, body: BodyModel, settings: Estimation = MODEL) -> None:
-    messages, batch = messages_of(features, body), estimate(features, body, settings)
-    live = Estimator(body, settings)
+def check(features: Features, body: BodyModel, settings: EstimationSettings = MODEL) -> None:
+    messages, batch = messages_of(features, body), estimate_from_features(features, body, settings)
+    live = LiveEstimator(body, settings)
     beliefs = step(live, messages)
     assert_same(beliefs, batch)
     assert_same_errors(beliefs, messages, batch)
@@ -128,8 +128,8 @@ def test_estimator_recovers_a_lost_belief_as_the_batch(world, seed, names):
     tracks = {"effector": replace(track, values=np.where(elsewhere, [250.0, 60.0], track.values))}
     features = replace(drawn.features, joints=joints, tracks=tracks)
     check(features, drawn.body)
-    beliefs = step(Estimator(drawn.body), messages_of(features, drawn.body))
-    batch = estimate(features, drawn.body, MODEL)
+    beliefs = step(LiveEstimator(drawn.body), messages_of(features, drawn.body))
+    batch = estimate_from_features(features, drawn.body, MODEL)
     lost = [belief for belief in beliefs if belief.lost is not None]
     texts = [finding.text for finding in batch.findings if finding.text.startswith("belief: lost")]
     assert len(lost) == len(texts) and all(f"{b.t:.3f} s" in text for b, text in zip(lost, texts, strict=True))
@@ -157,26 +157,26 @@ def test_frame_and_encoder_rates_may_differ(world, encoder_hz):
 def test_variances_learned_from_a_log_are_used_live(world, white_acceleration):
     for seed, speed in ((0, 0.5), (1, 0.0)):
         drawn = world(seed, duration=6.0, speed=speed, blunder=0.05)
-        batch = estimate(drawn.features, drawn.body, Estimation(bias="off"))
+        batch = estimate_from_features(drawn.features, drawn.body, EstimationSettings(bias="off"))
         messages, settings = messages_of(drawn.features, drawn.body), json.loads(json.dumps(batch.settings))
-        assert_same(step(Estimator(drawn.body, MODEL, learned=settings), messages), batch)
+        assert_same(step(LiveEstimator(drawn.body, MODEL, learned=settings), messages), batch)
         assert (min(settings["stated"]) < 1.0) is (speed == 0.0)
     drawn = world(0, duration=6.0)
-    one, whole = (estimate(drawn.features, drawn.body, Estimation(m, bias="off")) for m in ("laplace", "smoother"))
-    beliefs = step(Estimator(drawn.body, MODEL, learned=whole.settings), messages_of(drawn.features, drawn.body))
+    one, whole = (estimate_from_features(drawn.features, drawn.body, EstimationSettings(m, bias="off")) for m in ("laplace", "smoother"))
+    beliefs = step(LiveEstimator(drawn.body, MODEL, learned=whole.settings), messages_of(drawn.features, drawn.body))
     assert_same(beliefs, one)
 
 
 def test_motion_learned_from_a_log_is_used_live(world):
     drawn = world(0, duration=12.0, blunder=0.02)
-    batch, smooth = (estimate(drawn.features, drawn.body, Estimation(m, bias="off")) for m in ("laplace", "smoother"))
+    batch, smooth = (estimate_from_features(drawn.features, drawn.body, EstimationSettings(m, bias="off")) for m in ("laplace", "smoother"))
     assert batch.settings["order"] == smooth.settings["order"] == 3
     messages = messages_of(drawn.features, drawn.body)
     for learned in (batch, smooth):
         settings = json.loads(json.dumps(learned.settings))
-        assert_same(step(Estimator(drawn.body, MODEL, learned=settings), messages), batch)
+        assert_same(step(LiveEstimator(drawn.body, MODEL, learned=settings), messages), batch)
     late = messages_of(drawn.features, drawn.body, lambda sense: 0.06 if sense == "effector" else 0.0)
-    last = step(Estimator(drawn.body, MODEL, learned=batch.settings), late)[-1]
+    last = step(LiveEstimator(drawn.body, MODEL, learned=batch.settings), late)[-1]
     np.testing.assert_allclose(last.x, batch.joints.values[-1], atol=1e-9, rtol=0)
 
 
@@ -185,7 +185,7 @@ def test_variances_that_are_not_the_bodys_are_refused(world, encoder):
     drawn = world(0, duration=1.0)
     settings = {"encoder": encoder, "process": [0.1] * 3, "stated": [1.0] * 3}
     with pytest.raises(UsageError, match=re.escape(f"learned: encoder is {encoder!r}, possible: 3 numbers above 0")):
-        Estimator(drawn.body, MODEL, learned=settings)
+        LiveEstimator(drawn.body, MODEL, learned=settings)
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
@@ -215,15 +215,15 @@ def test_missing_joints_gaps_and_times_that_run_backwards(world):
 def test_simultaneous_senses_in_any_order_and_in_one_call(world, seed):
     features, body = simultaneous(world, seed, blunder=0.1)
     settings = replace(MODEL, start=(-0.9, -0.9, 1.0))
-    messages, batch = messages_of(features, body), estimate(features, body, settings)
+    messages, batch = messages_of(features, body), estimate_from_features(features, body, settings)
     order = np.random.default_rng(seed).permutation(len(messages))
     mixed = sorted((messages[k] for k in order), key=lambda message: message[0])
     assert [m[1] for m in mixed] != [m[1] for m in messages]
-    assert_same(step(Estimator(body, settings), mixed), batch)
+    assert_same(step(LiveEstimator(body, settings), mixed), batch)
     together: dict[float, dict[str, object]] = {}
     for t, sense, reading in mixed:
         together.setdefault(t, {})[sense] = reading
-    live = Estimator(body, settings)
+    live = LiveEstimator(body, settings)
     assert_same([live.step(t, **senses) for t, senses in together.items()], batch)  # type: ignore[arg-type]
 
 
@@ -233,7 +233,7 @@ def test_late_images_are_applied_at_their_time(world, seed):
     late, rng = {"effector": 0.08, "side/effector": 0.13}, np.random.default_rng(seed)
     messages = messages_of(features, body, lambda sense: late.get(sense, 0.0) * rng.uniform(0.9, 1.1))
     assert any(one[0] > next_[0] for one, next_ in pairwise(messages))
-    live, batch = Estimator(body), estimate(features, body, MODEL)
+    live, batch = LiveEstimator(body), estimate_from_features(features, body, MODEL)
     beliefs = step(live, messages)
     end = batch.joints.t[-1]
     assert beliefs[-1].t == end
@@ -246,7 +246,7 @@ def test_late_images_are_applied_at_their_time(world, seed):
 def test_too_late_readings_are_left_out_and_counted(world):
     drawn = world(0, duration=2.0)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
-    live = Estimator(drawn.body, lag=0.1)
+    live = LiveEstimator(drawn.body, lag=0.1)
     for t, row in zip(joints.t, joints.values[:, [1, 2, 0]], strict=True):
         now = live.step(t, joints=row)
     after = live.step(1.0, joints=joints.values[0], effector=track.values[0])
@@ -264,7 +264,7 @@ def test_touch_is_the_hands_place_and_its_spread(world, stroked, weight):
 
 def explored(world) -> BodyModel:
     drawn = world(5, duration=20.0, encoder_std=0.003, pixel_std=0.2)
-    return learning.learn([drawn.features], Settings(), {}).model
+    return learning.learn_body([drawn.features], Settings(), {}).model
 
 
 @pytest.mark.parametrize("senses", [("vision",), ("pan", "vision"), ("lift", "elbow", "vision")])
@@ -278,8 +278,8 @@ def test_estimator_runs_without_some_or_all_encoders(world, senses):
 
 def test_belief_is_available_at_any_time(world):
     drawn = world(2, duration=4.0)
-    batch = estimate(drawn.features, drawn.body, replace(MODEL, rate=37.0))
-    live, beliefs = Estimator(drawn.body), []
+    batch = estimate_from_features(drawn.features, drawn.body, replace(MODEL, rate=37.0))
+    live, beliefs = LiveEstimator(drawn.body), []
     asked = [(t, "", None) for t in batch.joints.t]
     for t, sense, reading in sorted([*messages_of(drawn.features, drawn.body), *asked], key=lambda message: message[0]):
         beliefs.append(live.step(t, **({sense: reading} if sense else {})))  # type: ignore[arg-type]
@@ -289,7 +289,7 @@ def test_belief_is_available_at_any_time(world):
 @pytest.mark.parametrize("steps", [6_000, pytest.param(100_000, marks=pytest.mark.soak)])
 def test_estimator_uses_constant_memory(world, linear_model, steps):
     body = world(0, duration=1.0, model=linear_model).body
-    live, x = Estimator(body), np.array([-0.9, -0.9, 1.0])
+    live, x = LiveEstimator(body), np.array([-0.9, -0.9, 1.0])
     seen = linear_model.predict(x[None])[0][0]
 
     def run(first: int, last: int) -> int:
@@ -307,7 +307,7 @@ def test_estimator_uses_constant_memory(world, linear_model, steps):
 
 def test_unfit_readings_are_refused_in_one_line_and_change_nothing(world):
     drawn = world(0, duration=1.0)
-    live, x = Estimator(drawn.body), np.array([-0.9, -0.9, 1.0])
+    live, x = LiveEstimator(drawn.body), np.array([-0.9, -0.9, 1.0])
     before = live.step(0.0, joints=x)
     refused: list[tuple[type[Exception], str, dict[str, object]]] = [
         (UsageError, "t: nan found", {"t": np.nan}),
@@ -332,8 +332,8 @@ def test_unfit_readings_are_refused_in_one_line_and_change_nothing(world):
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        (Estimation(), "precision: 'auto' needs the whole log; possible live: model"),
-        (Estimation(precision="model"), "bias: 'auto' needs the whole log; possible live: off or on"),
+        (EstimationSettings(), "precision: 'auto' needs the whole log; possible live: model"),
+        (EstimationSettings(precision="model"), "bias: 'auto' needs the whole log; possible live: off or on"),
         (replace(MODEL, method="smoother"), "method: 'smoother' needs the whole log"),
         (replace(MODEL, start=(1.0,)), "start: 1 angles given, the body has 3 joints"),
         (replace(MODEL, senses=("nose",)), "senses: 'nose' found, possible:"),
@@ -341,12 +341,12 @@ def test_unfit_readings_are_refused_in_one_line_and_change_nothing(world):
 )
 def test_settings_that_need_the_whole_log_are_refused(world, settings, text):
     with pytest.raises(UsageError, match=text):
-        Estimator(world(0, duration=1.0).body, settings)
+        LiveEstimator(world(0, duration=1.0).body, settings)
 
 
 def test_estimator_refuses_a_negative_lag(world):
     with pytest.raises(UsageError, match=r"lag: -1.0 found, a time of at least 0 s is possible"):
-        Estimator(world(0, duration=1.0).body, lag=-1.0)
+        LiveEstimator(world(0, duration=1.0).body, lag=-1.0)
 
 
 def test_readings_before_all_joints_are_known_are_applied_then(world):
@@ -355,15 +355,15 @@ def test_readings_before_all_joints_are_known_are_applied_then(world):
     values = joints.values.copy()
     values[:3, 1] = np.nan
     features = replace(drawn.features, joints=replace(joints, t=joints.t + 0.1, values=values))
-    live, beliefs = Estimator(drawn.body), []
+    live, beliefs = LiveEstimator(drawn.body), []
     for message in messages_of(features, drawn.body):
         try:
             beliefs += step(live, [message])
         except LogError as problem:
             assert re.search("no reading of .*pan.* yet; pass every joint once", str(problem)) and not beliefs
-    assert_same(beliefs, estimate(features, drawn.body, MODEL))
+    assert_same(beliefs, estimate_from_features(features, drawn.body, MODEL))
     assert live.used["effector"].used == len(track.t) and not live.used["encoders"].rejected
-    late = Estimator(drawn.body, lag=0.05)
+    late = LiveEstimator(drawn.body, lag=0.05)
     for t in (0.0, 0.02):
         with pytest.raises(LogError):
             late.step(t, effector=track.values[0])
@@ -373,7 +373,7 @@ def test_readings_before_all_joints_are_known_are_applied_then(world):
 
 def test_joints_in_two_halves_start_once_all_are_known(world):
     drawn = world(0, duration=1.0)
-    robot = Estimator(drawn.body)
+    robot = LiveEstimator(drawn.body)
     first, second, third = ({name: 0.1} for name in drawn.body.joints)
     for part in (first, second):
         with pytest.raises(LogError, match="no reading of"):
@@ -388,14 +388,14 @@ def test_joints_in_two_halves_start_once_all_are_known(world):
 def test_step_equals_the_matrix_form(seed, offsets, order):
     rng, m, dt = np.random.default_rng(seed), 3, 0.013
     drift = np.array([1e-4, 0.0, 1e-5]) if offsets else None
-    dynamics = Dynamics(rng.uniform(0.1, 1.0, m), drift, order=order)
+    dynamics = FilterDynamics(rng.uniform(0.1, 1.0, m), drift, order=order)
     k, more = dynamics.size, rng.uniform(1.0, 2.0, m)
     root = rng.normal(size=(k, k))
     z, p, var = rng.normal(size=k), root @ root.T / k, rng.uniform(1e-4, 1e-2, m)
     f, q = np.eye(k), np.zeros((k, k))
     f[: order * m, : order * m], q[: order * m, : order * m] = discretised(more * dynamics.process, dt, order)
     q[order * m :, order * m :] = np.diag([] if drift is None else drift * dt)
-    step, begin = Step(dynamics, 2, 2), (z, p)
+    step, begin = FilterStep(dynamics, 2, 2), (z, p)
     z, p = f @ z, f @ p @ f.T + q
     readings = np.where(rng.random(m) < 0.3, np.nan, z[:m] + rng.normal(size=m) * (1.0, 1.0, 90.0))
     lines = [Line(jac := rng.normal(size=(n, m)), jac @ z[:m], rng.uniform(0.1, 1.0, n), LastFrame()) for n in (2, 1)]
@@ -419,14 +419,14 @@ def test_step_equals_the_matrix_form(seed, offsets, order):
 
 
 def test_step_that_rounding_broke_is_refused():
-    step = Step(Dynamics(np.full(2, 0.1)))
+    step = FilterStep(FilterDynamics(np.full(2, 0.1)))
     with pytest.raises(np.linalg.LinAlgError, match="rounding leaves no number"):
         step(np.zeros(4), np.nan * np.eye(4), 0.01, [0.0, 0.0], [1e-4, 1e-4])
 
 
 def test_search_that_is_satisfied_at_once_linearises_at_the_prior_mean(world):
     drawn, rng = world(0, duration=1.0), np.random.default_rng(0)
-    dynamics, start = Dynamics(np.full(3, 0.3)), np.array([-0.9, -0.9, 1.0])
+    dynamics, start = FilterDynamics(np.full(3, 0.3)), np.array([-0.9, -0.9, 1.0])
     like = ErrorCorrelation(dynamics.process, np.asarray(np.inf), 0.0)
     model = drawn.body.senses["effector"]
     seen = model.predict(start[None])[0][0] + rng.normal(0.0, 5.0, 2)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate
-from bodylog.settings import Estimation
+from bodylog.estimation import estimate_from_features
+from bodylog.settings import EstimationSettings
 
 
 def freeze(drawn, begin, end=np.inf):
@@ -21,7 +21,7 @@ def freeze(drawn, begin, end=np.inf):
 @pytest.mark.parametrize("seed", range(2))
 def test_frozen_camera_is_named_and_its_images_removed(world, method, seed):
     drawn = world(seed, duration=12.0, camera_hz=20.0)
-    found = estimate(freeze(drawn, 6.0), drawn.body, Estimation(method=method))
+    found = estimate_from_features(freeze(drawn, 6.0), drawn.body, EstimationSettings(method=method))
     ((fault),) = found.faults
     assert (fault.sense, fault.name, fault.kind, fault.unit) == ("vision", "effector", "frozen", "px")
     assert 6.0 <= fault.since < 6.2 and fault.size > 5.0
@@ -34,14 +34,14 @@ def test_frozen_camera_is_named_and_its_images_removed(world, method, seed):
 
 def test_frozen_camera_may_recover(world):
     drawn = world(2, duration=12.0, camera_hz=20.0)
-    found = estimate(freeze(drawn, 4.0, 7.0), drawn.body, Estimation())
+    found = estimate_from_features(freeze(drawn, 4.0, 7.0), drawn.body, EstimationSettings())
     assert [(fault.sense, fault.kind) for fault in found.faults] == [("vision", "frozen")]
     assert found.used["effector"].rejected["frozen"] == 59
 
 
 def test_images_of_an_arm_at_rest_may_repeat(world):
     drawn = world(3, duration=12.0, camera_hz=20.0, speed=0.0)
-    found = estimate(freeze(drawn, 0.0), drawn.body, Estimation())
+    found = estimate_from_features(freeze(drawn, 0.0), drawn.body, EstimationSettings())
     assert not found.faults and "frozen" not in found.used["effector"].rejected
 
 
@@ -50,7 +50,7 @@ def test_frozen_camera_ignores_one_drifting_encoder_at_rest(world):
     features = freeze(drawn, 0.0)
     joints = features.joints
     values = joints.values + np.outer(np.clip((joints.t - 5.0) * 0.03, 0.0, None), np.arange(3) == 0)
-    found = estimate(replace(features, joints=replace(joints, values=values)), drawn.body, Estimation())
+    found = estimate_from_features(replace(features, joints=replace(joints, values=values)), drawn.body, EstimationSettings())
     assert [(fault.sense, fault.name) for fault in found.faults] == [("encoders", joints.names[0])]
 
 
@@ -59,7 +59,7 @@ def test_frozen_camera_is_named_with_encoders_on_separate_topics(world):
     features = freeze(drawn, 6.0)
     values = features.joints.values.copy()
     values[::2, 0], values[1::2, 1:] = np.nan, np.nan
-    found = estimate(replace(features, joints=replace(features.joints, values=values)), drawn.body, Estimation())
+    found = estimate_from_features(replace(features, joints=replace(features.joints, values=values)), drawn.body, EstimationSettings())
     assert [(fault.sense, fault.name, fault.kind) for fault in found.faults] == [("vision", "effector", "frozen")]
 
 
@@ -69,6 +69,6 @@ def test_frozen_camera_ignores_two_jumping_encoders_at_rest(world):
     features = freeze(drawn, 0.0)
     joints = features.joints
     values = joints.values + 0.15 * np.outer(joints.t >= 6.0, np.arange(3) < 2)
-    found = estimate(replace(features, joints=replace(joints, values=values)), drawn.body, Estimation())
+    found = estimate_from_features(replace(features, joints=replace(joints, values=values)), drawn.body, EstimationSettings())
     assert {(fault.sense, fault.kind) for fault in found.faults} == {("encoders", "jumping")}
     assert {fault.name for fault in found.faults} == set(joints.names[:2])

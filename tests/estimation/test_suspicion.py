@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.estimation import estimate
+from bodylog.estimation import estimate_from_features
 from bodylog.estimation.faults import encoder_offset
-from bodylog.estimation.faults.offset_score import _of_offsets, offset_score
-from bodylog.estimation.inference.gauss_newton import solve
+from bodylog.estimation.faults.offset_score import _score_offsets, offset_score
+from bodylog.estimation.inference.gauss_newton import solve_by_gauss_newton
 from bodylog.estimation.methods import filtering
-from bodylog.settings import Estimation, Settings
+from bodylog.settings import EstimationSettings, Settings
 from tests.seeds import seeds
 
-WALK = encoder_offset.WALKS[0]
+WALK = encoder_offset.RANDOM_WALKS[0]
 
 
 def lying(drawn, size, joint="pan", since=8.0):
@@ -34,9 +34,9 @@ def error(found, drawn, since=0.0):
 
 
 def solved(features, body, **settings):
-    problem = filtering.gathered(features, body, Estimation(**settings))
-    problem, warm = filtering.tuned(problem, Estimation(**settings))
-    return problem, solve(problem, warm)
+    problem = filtering.build_filter_problem(features, body, EstimationSettings(**settings))
+    problem, warm = filtering.tune_noise(problem, EstimationSettings(**settings))
+    return problem, solve_by_gauss_newton(problem, warm)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.03, 0.05, 0.1])
@@ -44,10 +44,10 @@ def solved(features, body, **settings):
 def test_offset_score_is_the_evidence_with_an_offset(world, seed, size):
     drawn = world(seed, duration=14.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     problem, found = solved(lying(drawn, size), drawn.body)
-    cost = partial(filtering.cost, warm=found)
+    cost = partial(filtering.filter_free_energy, warm=found)
     wins = [cost(problem) - cost(encoder_offset.with_drift(problem, WALK * row)) for row in np.eye(3)]
     np.testing.assert_allclose(offset_score(problem, found, WALK)[0], wins, atol=20.0, rtol=0.3)
-    assert (max(wins) > encoder_offset.NATS) is (size > 0)
+    assert (max(wins) > encoder_offset.EVIDENCE_THRESHOLD_NATS) is (size > 0)
 
 
 def test_offset_score_without_images_is_zero(world):
@@ -60,7 +60,7 @@ def test_offset_score_without_images_is_zero(world):
 def learned(world):
     """A body learned from images, with model error."""
     explored = world(1, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
-    return body.learn([explored.features], Settings(), {}).model
+    return body.learn_body([explored.features], Settings(), {}).model
 
 
 def _never(*_, **__):
@@ -68,17 +68,17 @@ def _never(*_, **__):
 
 
 def test_offset_search_skips_sound_logs(world, monkeypatch):
-    monkeypatch.setattr(encoder_offset, "choose", _never)
+    monkeypatch.setattr(encoder_offset, "choose_encoder_offsets", _never)
     for seed in range(3):
         drawn = world(seed, duration=12.0, hidden=(6.0, 8.0), blunder=0.02)
-        assert not estimate(drawn.features, drawn.body, Estimation()).faults
+        assert not estimate_from_features(drawn.features, drawn.body, EstimationSettings()).faults
 
 
 def test_offset_search_ignores_the_smoothers_forward_lag(world, learned, monkeypatch):
-    monkeypatch.setattr(encoder_offset, "choose", _never)
+    monkeypatch.setattr(encoder_offset, "choose_encoder_offsets", _never)
     for seed in (7, 8):
         drawn = world(seed, duration=60.0, encoder_hz=500.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
-        assert not estimate(drawn.features, learned, Estimation(method="smoother")).faults
+        assert not estimate_from_features(drawn.features, learned, EstimationSettings(method="smoother")).faults
 
 
 def test_offset_score_decreases_with_a_smoothers_lag(world, learned, monkeypatch, white_acceleration):
@@ -86,7 +86,7 @@ def test_offset_score_decreases_with_a_smoothers_lag(world, learned, monkeypatch
     monkeypatch.setattr(encoder_offset, named, lambda *given: scored.append(offset_score(*given)) or scored[-1])
     for seed in (2, 3):
         drawn = world(seed, duration=120.0, encoder_hz=100.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
-        estimate(drawn.features, learned, Estimation(method="smoother"))
+        estimate_from_features(drawn.features, learned, EstimationSettings(method="smoother"))
     assert len(scored) == 2
     # a nat per eight half-second spans, so a log of ten minutes stays far from NATS
     assert max(gain.max() for gain, _, _ in scored) < -30.0
@@ -96,14 +96,14 @@ def test_model_error_gives_no_encoder_fault(world, learned):
     for seed in range(2, 5):
         drawn = world(seed, duration=120.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
         gain, _, _ = offset_score(*solved(drawn.features, learned), WALK)
-        assert (gain < encoder_offset.NATS).all()
+        assert (gain < encoder_offset.EVIDENCE_THRESHOLD_NATS).all()
 
 
 @pytest.mark.parametrize("seed", seeds(2, 12))
 def test_body_of_a_short_exploration_gives_no_encoder_fault(world, seed):
     explored = world(seed, duration=5.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
     drawn = world(1000 + seed, duration=20.0, encoder_std=0.02, pixel_std=0.3, camera_hz=20.0)
-    found = estimate(drawn.features, body.learn([explored.features], Settings(), {}).model, Estimation())
+    found = estimate_from_features(drawn.features, body.learn_body([explored.features], Settings(), {}).model, EstimationSettings())
     assert not found.faults and error(found, drawn) < 0.012
 
 
@@ -111,7 +111,7 @@ def test_body_of_a_short_exploration_gives_no_encoder_fault(world, seed):
 @pytest.mark.parametrize("seed", range(2))
 def test_encoder_step_near_the_noise_is_named(world, seed, joint):
     drawn = world(seed, duration=16.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
-    found = estimate(lying(drawn, 0.04, joint), drawn.body, Estimation())
+    found = estimate_from_features(lying(drawn, 0.04, joint), drawn.body, EstimationSettings())
     assert [fault.name for fault in found.faults] == [joint]
     assert found.faults[0].size == pytest.approx(0.04, abs=0.02)
 
@@ -120,7 +120,7 @@ def test_encoder_step_near_the_noise_is_named(world, seed, joint):
 @pytest.mark.parametrize("seed", seeds(1, 20))
 def test_encoder_step_has_its_time_and_its_size_within_its_error(world, seed, joint, size):
     drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
-    (fault,) = estimate(lying(drawn, size, joint), drawn.body, Estimation()).faults
+    (fault,) = estimate_from_features(lying(drawn, size, joint), drawn.body, EstimationSettings()).faults
     assert (fault.name, fault.kind) == (joint, "jumping") and abs(fault.since - 8.0) < 0.1
     assert abs(fault.size - size) < 4.0 * fault.std < 0.03
 
@@ -129,7 +129,7 @@ def test_encoder_step_has_its_time_and_its_size_within_its_error(world, seed, jo
 def test_encoder_step_leaves_the_filters_error_as_it_is_without(world, seed):
     drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
     features = (drawn.features, lying(drawn, 0.1, "elbow"))
-    sound, stepped = (error(estimate(each, drawn.body, Estimation()), drawn, since=8.0) for each in features)
+    sound, stepped = (error(estimate_from_features(each, drawn.body, EstimationSettings()), drawn, since=8.0) for each in features)
     assert stepped < 1.06 * sound
 
 
@@ -137,8 +137,8 @@ def test_encoder_step_leaves_the_filters_error_as_it_is_without(world, seed):
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
 def test_large_encoder_step_is_a_step_and_no_drift(world, seed, method):
     explored = world(5000 + seed, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
-    model, drawn = body.learn([explored.features], Settings(), {}).model, world(7000 + seed)
-    found = estimate(lying(drawn, 0.3), model, Estimation(method=method))
+    model, drawn = body.learn_body([explored.features], Settings(), {}).model, world(7000 + seed)
+    found = estimate_from_features(lying(drawn, 0.3), model, EstimationSettings(method=method))
     assert [(fault.name, fault.kind) for fault in found.faults] == [("pan", "jumping")]
     assert error(found, drawn) < {"laplace": 0.0075, "smoother": 0.004}[method]
 
@@ -154,7 +154,7 @@ def test_step_after_a_silence_of_all_encoders_is_named(world, seed, size, silenc
         part[read] for part in (features.joints.t, features.joints.values, features.joints.source_ns)
     )
     features = replace(features, joints=replace(features.joints, t=t, values=values, source_ns=source_ns))
-    found = estimate(features, body.learn([explored.features], Settings(), {}).model, Estimation())
+    found = estimate_from_features(features, body.learn_body([explored.features], Settings(), {}).model, EstimationSettings())
     assert [fault.name for fault in found.faults] == ["pan"]
     assert found.faults[0].size == pytest.approx(size, abs=0.01)
     assert error(found, drawn, since=8.0 + silence) < 0.006
@@ -163,7 +163,7 @@ def test_step_after_a_silence_of_all_encoders_is_named(world, seed, size, silenc
 @pytest.mark.parametrize(("seed", "joint", "size"), [(3, "elbow", 0.02), (4, "elbow", 0.05), (0, "pan", 0.02)])
 def test_encoder_step_that_a_filter_takes_for_motion_is_a_step(world, seed, joint, size):
     drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
-    (fault,) = estimate(lying(drawn, size, joint), drawn.body, Estimation()).faults
+    (fault,) = estimate_from_features(lying(drawn, size, joint), drawn.body, EstimationSettings()).faults
     assert (fault.name, fault.kind) == (joint, "jumping") and abs(fault.since - 8.0) < 0.25
     assert abs(fault.size - size) < 4.0 * fault.std < 0.02
 
@@ -172,7 +172,7 @@ def test_drift_has_a_size_with_its_error(world):
     drawn = world(1, duration=16.0, encoder_std=0.01, camera_hz=20.0)
     joints = drawn.features.joints
     values = joints.values + np.outer(0.02 * np.clip(joints.t - 8.0, 0.0, None), np.array(joints.names) == "pan")
-    (fault,) = estimate(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, Estimation()).faults
+    (fault,) = estimate_from_features(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, EstimationSettings()).faults
     assert fault.kind == "drifting" and abs(fault.size - 0.16) < 4.0 * fault.std < 0.05
 
 
@@ -181,7 +181,7 @@ def test_offset_score_of_encoders_far_surer_than_images_is_not_rounding():
     seen = np.zeros((1, 2, 3))
     seen[0, 0, 0] = 3.0
     seen[0, 0, 2] = 5.0
-    slope, curvature = _of_offsets(pull, weight, seen)
+    slope, curvature = _score_offsets(pull, weight, seen)
     # (A + W)^-1 W is 1 but for 4e-16: of an offset of 2 rad, what the images say is left
     np.testing.assert_allclose(slope, [[2.0 * 4.0 - 5.0, 0.0]], rtol=1e-9)
     np.testing.assert_allclose(curvature, [[4.0, 0.0]], rtol=1e-9)

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from bodylog.body_model import BodyModel, Noise, TouchConstants
-from bodylog.estimation import estimate
-from bodylog.estimation.inference.filter_records import Dynamics
+from bodylog.estimation import estimate_from_features
+from bodylog.estimation.inference.filter_records import FilterDynamics
 from bodylog.estimation.inference.sequential import SequentialFilter
 from bodylog.estimation.measurements import gather, track
 from bodylog.estimation.noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame
-from bodylog.kinematics.camera import lens, project
-from bodylog.kinematics.rotations import exponential
-from bodylog.settings import Estimation
+from bodylog.kinematics.camera import lens_without_distortion, project_points
+from bodylog.kinematics.rotations import rotation_from_vector
+from bodylog.settings import EstimationSettings
 from bodylog.types import Features, Series
 from tests.estimation.conftest import JOINTS, motion
 from tests.estimation.tag_pose import ROWS, PoseModel, TagPose, solved, unambiguous
 
-LENS = lens(600.0, 640.0, 480.0)
+LENS = lens_without_distortion(600.0, 640.0, 480.0)
 SIZE = 0.08
 POINTS = 0.5 * SIZE * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 
@@ -34,8 +34,8 @@ class Corner:
         pan, lift, elbow = np.moveaxis(np.asarray(x), -1, 0)
         turns = np.stack([0.5 * (lift + 0.6), pan + 0.4, elbow - 1.0], axis=-1)
         at = np.stack([0.15 * np.sin(pan + 0.9), 0.15 * np.sin(lift + 0.9), 0.55 + 0.1 * np.cos(elbow)], axis=-1)
-        arms = np.array([exponential(turn) @ POINTS[self.number] for turn in turns])
-        return project(arms + at, LENS)[0]
+        arms = np.array([rotation_from_vector(turn) @ POINTS[self.number] for turn in turns])
+        return project_points(arms + at, LENS)[0]
 
     def predict(self, x):
         steps = 1e-6 * np.eye(3)
@@ -48,7 +48,7 @@ TRACKS = tuple(f"tag.{k}" for k in range(4))
 
 
 PROCESS = 0.002
-TYPED = Estimation(precision="model", bias="off", process=PROCESS)
+TYPED = EstimationSettings(precision="model", bias="off", process=PROCESS)
 
 
 def white(t, rng):
@@ -79,7 +79,7 @@ def drawn(seed, duration=8.0, pixel=0.2, encoder=0.02, hz=50.0, camera=12.0):
 
 def filtered(features, body, process, poses):
     """The belief at each encoder instant, by a filter that goes instant by instant: (N,3), (N,3,3)."""
-    joints, steps = features.joints, SequentialFilter(Dynamics(np.full(3, process)), None)
+    joints, steps = features.joints, SequentialFilter(FilterDynamics(np.full(3, process)), None)
     values, var, mix = poses.independent
     like = ErrorCorrelation(np.full(3, process), np.asarray(np.inf), 0.0)
     rows = [(t, y, None) for t, y in zip(joints.t, joints.values, strict=True)]
@@ -102,7 +102,7 @@ def test_tag_pose_fits_the_corners_with_true_derivatives():
     mean, jac, _ = model.predict(x)
     image = np.stack([one.place(x) for one in MODELS], axis=1)
     for pose, seen in zip(mean, image, strict=True):
-        again = project(POINTS @ exponential(pose[3:]).T + pose[:3], LENS)[0]
+        again = project_points(POINTS @ rotation_from_vector(pose[3:]).T + pose[:3], LENS)[0]
         np.testing.assert_allclose(again, seen, atol=1e-7)
     numeric = np.stack([(model.predict(x + e)[0] - model.predict(x - e)[0]) / 2e-5 for e in 1e-5 * np.eye(3)], axis=-1)
     np.testing.assert_allclose(jac, numeric, atol=2e-5, rtol=1e-4)
@@ -131,7 +131,7 @@ def pose_alone(monkeypatch):
 @pytest.mark.parametrize("seed", range(2))
 def test_estimate_with_tag_poses_equals_the_filter_instant_by_instant(pose_alone, seed):
     features, body, _, _ = drawn(seed, duration=4.0, pixel=0.1, camera=6.0)
-    found = estimate(features, body, TYPED)
+    found = estimate_from_features(features, body, TYPED)
     assert found.used["tag.pose"].used > 20 and found.predicted["tag.pose"].names == ROWS
     poses, _ = TagPose(LENS)(features, body)["tag.pose"]
     mean, cov = filtered(features, body, PROCESS, poses)
@@ -146,7 +146,7 @@ def test_estimate_with_tag_poses_has_true_error_bars(pose_alone, method):
         features, body, truth, _ = drawn(seed, duration=4.0, pixel=0.1, camera=6.0)
         for seen in found:
             senses = ("encoders", "vision") if seen else ("encoders",)
-            belief = estimate(features, body, replace(TYPED, method=method, senses=senses))
+            belief = estimate_from_features(features, body, replace(TYPED, method=method, senses=senses))
             error = (belief.joints.values - truth)[50:]
             nees = np.mean(error**2 / np.einsum("nii->ni", belief.cov[50:]))
             found[seen].append((np.sqrt(np.mean(error**2)), nees))
@@ -159,19 +159,19 @@ def test_estimate_with_tag_poses_has_true_error_bars(pose_alone, method):
 def test_noise_is_learned_beside_poses_and_corners(monkeypatch):
     features, body, truth, _ = drawn(1, duration=6.0, pixel=0.1, camera=6.0)
     errors = []
-    for senses in ((("vision", track.read),), (("vision", track.read), ("vision", TagPose(LENS)))):
+    for senses in ((("vision", track.read_tracks),), (("vision", track.read_tracks), ("vision", TagPose(LENS)))):
         monkeypatch.setattr(gather, "SENSES", senses)
-        found = estimate(features, body, Estimation(method="smoother"))
+        found = estimate_from_features(features, body, EstimationSettings(method="smoother"))
         errors.append(np.sqrt(np.mean((found.joints.values - truth) ** 2)))
         assert ("tag.pose" in found.errors) == (len(senses) > 1) and not found.faults
     assert errors[1] < 1.1 * errors[0]
 
 
 def test_tag_pose_is_absent_for_an_ambiguous_far_tag():
-    at, turn = np.array([0.0, 0.0, 6.0]), exponential(np.array([0.25, 0.0, 0.0]))
-    corners = project(POINTS @ turn.T + at, LENS)[0]
+    at, turn = np.array([0.0, 0.0, 6.0]), rotation_from_vector(np.array([0.25, 0.0, 0.0]))
+    corners = project_points(POINTS @ turn.T + at, LENS)[0]
     assert unambiguous(corners, np.full(8, 0.04), POINTS, LENS) is None
-    near = project(POINTS @ turn.T + 0.05 * at, LENS)[0]
+    near = project_points(POINTS @ turn.T + 0.05 * at, LENS)[0]
     pose = unambiguous(near, np.full(8, 0.04), POINTS, LENS).pose
     np.testing.assert_allclose(pose, [0.0, 0.0, 0.3, 0.25, 0.0, 0.0], atol=1e-6)
     assert solved(near, np.full(8, 0.04), POINTS, LENS).cost < 1e-9

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.estimation import estimate
+from bodylog.estimation import estimate_from_features
 from bodylog.estimation.measurements import touch
-from bodylog.settings import Estimation
+from bodylog.settings import EstimationSettings
 
-BLIND = Estimation(senses=("encoders", "touch"), precision="model", bias="on")
+BLIND = EstimationSettings(senses=("encoders", "touch"), precision="model", bias="on")
 
 
 def biased(drawn, stroked, weight):
@@ -23,7 +23,7 @@ def biased(drawn, stroked, weight):
 
 def test_variance_and_times_are_the_likelihoods(world, stroked):
     features, body = stroked(world(0), 0.5), world(0).body
-    found, count = touch.sightings(features, body)
+    found, count = touch.read_touch_sighting(features, body)
     during = np.zeros(len(features.hand.t), bool)
     for felt in features.touches:
         during |= (features.hand.t >= felt.onset) & (features.hand.t <= felt.offset)
@@ -37,7 +37,7 @@ def test_variance_and_times_are_the_likelihoods(world, stroked):
 def test_touch_uses_a_cell_at_its_known_position(world, stroked):
     features, body = stroked(world(0), 1.0, (30.0, -8.0)), world(0).body
     body = replace(body, cells={1: (30.0, -8.0, 3.0)})
-    found, count = touch.sightings(features, body)
+    found, count = touch.read_touch_sighting(features, body)
     effector = features.tracks["effector"]
     np.testing.assert_allclose(found.values, effector.values[np.isin(effector.t, found.t)])
     np.testing.assert_allclose((1.0 / found.var).sum(axis=0), count / 9.0)
@@ -50,7 +50,7 @@ def test_synchronous_touch_corrects_and_asynchronous_does_not(world, stroked):
         features = biased(drawn, stroked, weight)
         errors = []
         for settings in (replace(BLIND, senses=("encoders",)), BLIND):
-            found = estimate(features, drawn.body, settings)
+            found = estimate_from_features(features, drawn.body, settings)
             late = found.joints.t > 10.0
             errors.append(np.sqrt(np.mean((found.joints.values - drawn.truth.values)[late, 0] ** 2)))
         gain[weight] = errors[0] - errors[1]
@@ -64,7 +64,7 @@ def test_rubber_hand_pulls_only_when_synchronous(world, stroked):
         drawn = world(2, encoder_std=0.005)
         features = stroked(drawn, weight, (15.0, 0.0))
         with_touch, without = (
-            estimate(features, drawn.body, replace(BLIND, senses=senses)) for senses in (BLIND.senses, ("encoders",))
+            estimate_from_features(features, drawn.body, replace(BLIND, senses=senses)) for senses in (BLIND.senses, ("encoders",))
         )
         drift[weight] = np.abs(with_touch.joints.values - without.joints.values)[-1].max()
     assert drift[1.0] > 20 * drift[1e-3]
@@ -74,10 +74,10 @@ def test_literal_touch_is_limited_to_the_papers_descent(world, stroked):
     drawn = world(0, duration=10.0)
     features = stroked(drawn, 1.0, (10.0, 0.0))
     with pytest.raises(UsageError, match="literal"):
-        estimate(features, drawn.body, replace(BLIND, touch="literal"))
-    descent = Estimation(method="predictive-coding", preset="paper", senses=("encoders", "touch"))
+        estimate_from_features(features, drawn.body, replace(BLIND, touch="literal"))
+    descent = EstimationSettings(method="predictive-coding", preset="paper", senses=("encoders", "touch"))
     both = [
-        estimate(features, drawn.body, replace(descent, preset=preset, precision="fixed", touch=form)).joints.values
+        estimate_from_features(features, drawn.body, replace(descent, preset=preset, precision="fixed", touch=form)).joints.values
         for preset, form in (("default", "literal"), ("default", "likelihood"))
     ]
     assert np.abs(both[0] - both[1]).max() > 1e-4

@@ -1,7 +1,7 @@
 import pytest
 
 from bodylog.errors import BoundError, UsageError
-from bodylog.evaluation.bounds import check, parse
+from bodylog.evaluation.bounds import check_bounds, parse_bound
 from bodylog.types import Score
 
 
@@ -18,12 +18,12 @@ from bodylog.types import Score
 )
 def test_parse_of_an_old_name_gives_the_new_one(old: str, new: str) -> None:
     with pytest.raises(UsageError, match=f"type {new}$"):
-        parse(old)
+        parse_bound(old)
 
 
 @pytest.mark.parametrize("name", ["nees/*", "nis/tip", "rmse/joint", "fault/*/elbow"])
 def test_parse_does_not_confuse_other_names_with_old_ones(name: str) -> None:
-    assert parse(f"{name}>1").name == name
+    assert parse_bound(f"{name}>1").name == name
 
 
 SCORES = {"run.mcap": (Score("rmse/joint", 0.03, "rad"), Score("nees/joint", float("nan"), ""))}
@@ -35,23 +35,23 @@ BROKEN = ["rmse/joint>0.02", "rmse/joint >= 3e-2", "rmse/joint<0.04", "nees/join
 @pytest.mark.parametrize("text", BROKEN)
 def test_check_of_a_broken_bound_names_log_and_values(text):
     with pytest.raises(BoundError, match=r"run\.mcap: (rmse/joint is 0\.03|nees/joint is nan), bound broken"):
-        check(SCORES, [parse(text)])
+        check_bounds(SCORES, [parse_bound(text)])
 
 
 @pytest.mark.parametrize("text", ["rmse/joint>0.03", "rmse/joint<0.03", "rmse/joint>1"])
 def test_check_accepts_a_bound_that_holds(text):
-    check(SCORES, [parse(text)])
+    check_bounds(SCORES, [parse_bound(text)])
 
 
 @pytest.mark.parametrize("text", ["rmse/joint", "rmse/joint=1", "rmse/joint>", ">1", "rmse/joint>1e", "a b>1"])
 def test_parse_refuses_other_texts_than_bounds(text):
     with pytest.raises(UsageError, match="type a score"):
-        parse(text)
+        parse_bound(text)
 
 
 def test_check_of_an_unknown_score_lists_the_known():
     with pytest.raises(UsageError, match="possible: nees/joint, rmse/joint"):
-        check(SCORES, [parse("rmse/test>1")])
+        check_bounds(SCORES, [parse_bound("rmse/test>1")])
 
 
 @pytest.mark.parametrize(
@@ -60,9 +60,9 @@ def test_check_of_an_unknown_score_lists_the_known():
 )
 def test_a_misspelt_score_is_refused_when_it_is_typed(typed, meant):
     with pytest.raises(UsageError, match=f"did you mean {meant}"):
-        parse(typed)
+        parse_bound(typed)
 
 
 @pytest.mark.parametrize("typed", ["fault/*>0", "*>3", "delay/*>0.05", "nis/hand>1", "rmse/*>1", "used_share/[ab]<0.5"])
 def test_a_pattern_of_possible_scores_is_a_bound(typed):
-    assert parse(typed).limit >= 0.0
+    assert parse_bound(typed).limit >= 0.0

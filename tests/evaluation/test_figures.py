@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bodylog.errors import BoundError, UsageError
-from bodylog.estimation import estimate
-from bodylog.evaluation.bounds import check, parse
-from bodylog.evaluation.figures import figures
-from bodylog.settings import Estimation
+from bodylog.estimation import estimate_from_features
+from bodylog.evaluation.bounds import check_bounds, parse_bound
+from bodylog.evaluation.figures import list_figures
+from bodylog.settings import EstimationSettings
 from bodylog.types import Fault
 from tests.estimation.conftest import draw
 
@@ -17,11 +17,11 @@ from tests.estimation.conftest import draw
 @pytest.fixture(scope="module")
 def sound():
     drawn = draw(0, duration=8.0)
-    return estimate(drawn.features, drawn.body, Estimation())
+    return estimate_from_features(drawn.features, drawn.body, EstimationSettings())
 
 
 def judged(found, *bounds):
-    check({"run.mcap": figures(found)}, [parse(text) for text in bounds])
+    check_bounds({"run.mcap": list_figures(found)}, [parse_bound(text) for text in bounds])
 
 
 OFFSET = Fault("encoders", "elbow", "drifting", 0.1, -0.087, "rad")
@@ -59,7 +59,7 @@ def test_bounds_fail_for_unobservable_figures():
     drawn = draw(0, duration=8.0)
     joints = drawn.features.joints
     off = replace(joints, values=joints.values + 0.087 * (np.array(joints.names) == "elbow"))
-    blind = estimate(replace(drawn.features, joints=off), drawn.body, Estimation(senses=("encoders",)))
+    blind = estimate_from_features(replace(drawn.features, joints=off), drawn.body, EstimationSettings(senses=("encoders",)))
     with pytest.raises(BoundError, match="fault/encoder_offset/elbow is nan"):
         judged(blind, "fault/encoder_offset/elbow>0.05")
     judged(blind, "fault/frozen/elbow>0", "faults>0")

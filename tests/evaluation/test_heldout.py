@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bodylog.body_model import BodyModel, Noise, TouchConstants
-from bodylog.estimation import METHODS, estimate
-from bodylog.evaluation.heldout import EVERY, held_out, withhold
-from bodylog.settings import Estimation
+from bodylog.estimation import METHODS, estimate_from_features
+from bodylog.evaluation.heldout import WITHHELD_INTERVAL, score_withheld_frames, withhold_frames
+from bodylog.settings import EstimationSettings
 from bodylog.types import Estimate, Features, Series
 from tests.estimation.conftest import Linear, dense, draw
 
@@ -45,46 +45,46 @@ def believed(t, x, cov, predicted=None, predicted_cov=None):
 
 def test_withhold_hides_every_fifth_frame_and_returns_its_sightings(scene):
     features, _ = scene
-    fewer, withheld = withhold(features)
+    fewer, withheld = withhold_frames(features)
     hidden = np.isnan(fewer.tracks["effector"].values).any(axis=1)
-    assert np.flatnonzero(hidden).tolist() == list(range(EVERY - 1, 40, EVERY))
+    assert np.flatnonzero(hidden).tolist() == list(range(WITHHELD_INTERVAL - 1, 40, WITHHELD_INTERVAL))
     assert withheld["effector"].t.tolist() == features.tracks["effector"].t[[4, 14, 19, 24, 29, 34, 39]].tolist()
     assert np.isfinite(withheld["effector"].values).all()
 
 
 def test_held_out_is_the_mean_predicted_density(scene):
     features, body = scene
-    _, withheld = withhold(features)
+    _, withheld = withhold_frames(features)
     track, seen = features.tracks["effector"], withheld["effector"]
     cov = np.array([[2.0, 0.3], [0.3, 1.0]])
     found = believed(track.t, np.zeros((40, 2)), np.zeros((40, 2, 2)),
                      {"effector": replace(track, values=np.full((40, 2), 0.1))},
                      {"effector": np.repeat(cov[None], 40, axis=0)})  # fmt: skip
-    (score,) = held_out(found, withheld, body)
+    (score,) = score_withheld_frames(found, withheld, body)
     assert score.value == pytest.approx(multivariate_normal([0.1, 0.1], cov).logpdf(seen.values).mean(), rel=1e-12)
 
 
 def test_held_out_predicts_images_with_the_body(scene):
     features, body = scene
-    _, withheld = withhold(features)
+    _, withheld = withhold_frames(features)
     track, seen = features.tracks["effector"], withheld["effector"]
     spread = np.diag([0.5, 0.1])
-    (score,) = held_out(believed(track.t, np.full((40, 2), 0.2), np.repeat(spread[None], 40, axis=0)), withheld, body)
+    (score,) = score_withheld_frames(believed(track.t, np.full((40, 2), 0.2), np.repeat(spread[None], 40, axis=0)), withheld, body)
     expected = multivariate_normal([0.4, 0.4], 4.0 * spread + 0.5 * np.eye(2)).logpdf(seen.values).mean()
     assert score.value == pytest.approx(expected, rel=1e-12)
 
 
 def test_held_out_is_absent_without_withheld_frames(scene):
     _, body = scene
-    assert held_out(believed(np.arange(3.0), np.zeros((3, 2)), np.zeros((3, 2, 2))), {}, body) == ()
+    assert score_withheld_frames(believed(np.arange(3.0), np.zeros((3, 2)), np.zeros((3, 2, 2))), {}, body) == ()
 
 
 def test_withhold_keeps_a_tracks_only_sighting(scene):
     features, _ = scene
     track = features.tracks["effector"]
-    once = np.where(np.arange(40)[:, None] == EVERY - 1, track.values, np.nan)
-    fewer, withheld = withhold(replace(features, tracks={"effector": replace(track, values=once)}))
-    assert np.isfinite(fewer.tracks["effector"].values[EVERY - 1]).all()
+    once = np.where(np.arange(40)[:, None] == WITHHELD_INTERVAL - 1, track.values, np.nan)
+    fewer, withheld = withhold_frames(replace(features, tracks={"effector": replace(track, values=once)}))
+    assert np.isfinite(fewer.tracks["effector"].values[WITHHELD_INTERVAL - 1]).all()
     assert not len(withheld["effector"].t)
 
 
@@ -103,9 +103,9 @@ def test_held_out_of_a_linear_body_equals_the_textbook(seed, method, senses, off
     """In nats; estimates that did not see are asked between their instants, which is nearly right."""
     plane = Linear(np.array([[300.0, -40.0, 20.0], [15.0, 250.0, 120.0]]), np.array([160.0, 120.0]))
     drawn = draw(seed, duration=8.0, model=plane)
-    fewer, withheld = withhold(drawn.features)
-    asked = Estimation(method=method, senses=senses, precision="model", bias="off")
-    (score,) = held_out(estimate(fewer, drawn.body, asked), withheld, drawn.body)
+    fewer, withheld = withhold_frames(drawn.features)
+    asked = EstimationSettings(method=method, senses=senses, precision="model", bias="off")
+    (score,) = score_withheld_frames(estimate_from_features(fewer, drawn.body, asked), withheld, drawn.body)
     track, seen = fewer.tracks["effector"], withheld["effector"]
     readings = track if "vision" in senses else replace(track, values=np.full_like(track.values, np.nan))
     noise = drawn.body.noise
@@ -126,5 +126,5 @@ def test_held_out_interpolates_for_smoothers_only(scene, method, foretold):
     seen = series(np.array([0.5]), np.zeros((1, 2)), ("u", "v"), "px", np.full((1, 2), 0.5))
     found = believed(np.arange(2.0), np.repeat(np.arange(2.0)[:, None], 2, axis=1), np.zeros((2, 2, 2)))
     rate = replace(found.joints, values=np.full((2, 2), 0.6))
-    (score,) = held_out(replace(found, can=METHODS[method].can, rate=rate), {"effector": seen}, body)
+    (score,) = score_withheld_frames(replace(found, can=METHODS[method].can, rate=rate), {"effector": seen}, body)
     assert score.value == pytest.approx(multivariate_normal([2 * foretold] * 2, 0.5 * np.eye(2)).logpdf([0.0, 0.0]))

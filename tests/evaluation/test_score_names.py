@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from bodylog.score_names import FIGURES, RENAMED, split, unit
+from bodylog.score_names import FIGURES, RENAMED, split_score_name, score_unit
 
 ROOT = Path(__file__).parents[2]
 ROWS = dict(re.findall(r"^\| `([^`]+)` \|([^|]*)\|", (ROOT / "docs" / "metrics.md").read_text(), re.MULTILINE))
 
 
 def test_metrics_page_lists_all_figures_with_units() -> None:
-    stated = {split(name.replace("[", "").replace("]", ""))[0]: unit_.strip() for name, unit_ in ROWS.items()}
+    stated = {split_score_name(name.replace("[", "").replace("]", ""))[0]: unit_.strip() for name, unit_ in ROWS.items()}
     assert stated == dict(FIGURES)
 
 
@@ -34,14 +34,14 @@ def _made() -> list[tuple[str, str, str | None]]:
 def test_score_names_have_known_figures_and_units(place: str, name: str, stated: str | None) -> None:
     pattern = name.replace("PART", ".+")
     assert any(re.fullmatch(pattern, f"{figure}{part}") for figure in FIGURES for part in ("", "/p", "/p/q")), place
-    if stated is not None and unit(name):
-        assert stated == unit(name), place
+    if stated is not None and score_unit(name):
+        assert stated == score_unit(name), place
 
 
 def test_split_separates_the_figure_despite_slashes() -> None:
-    assert split("rmse/innovation/side/effector") == ("rmse/innovation", "side/effector")
-    assert split("nis/held_out/tip") == ("nis/held_out", "tip") and split("nis/tip") == ("nis", "tip")
-    assert split("rmse/joint") == ("rmse/joint", "") and split("fault/dead/elbow") == ("fault", "dead/elbow")
+    assert split_score_name("rmse/innovation/side/effector") == ("rmse/innovation", "side/effector")
+    assert split_score_name("nis/held_out/tip") == ("nis/held_out", "tip") and split_score_name("nis/tip") == ("nis", "tip")
+    assert split_score_name("rmse/joint") == ("rmse/joint", "") and split_score_name("fault/dead/elbow") == ("fault", "dead/elbow")
 
 
 def test_renamed_figures_map_to_current_ones() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import METHODS
-from bodylog.evaluation.scores import scores
+from bodylog.evaluation.scores import score_angles
 from bodylog.fault_findings import truth_findings
 from bodylog.types import Estimate, Health, Series
 
@@ -24,7 +24,7 @@ def made(error, std, n=500, names=("a", "b")):
 
 
 def named(found, truth, joints=None):
-    return {score.name: score for score in scores(found, truth, joints)}
+    return {score.name: score for score in score_angles(found, truth, joints)}
 
 
 def test_scores_have_the_right_values_and_units():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import InputError
-from bodylog.evaluation.truth import load
+from bodylog.evaluation.truth import load_truth
 from bodylog.types import Series
 
 START = 1_700_000_000_123_456_789
@@ -16,7 +16,7 @@ READ = Series(T, Q[:, ::-1] + 0.01, ("pan", "lift"), "rad", np.zeros(50, np.int6
 def table(path, name, times):
     rows = [f"{t},{a},{b}" for t, (a, b) in zip(times, Q.tolist(), strict=True)]
     path.write_text("\n".join([f"{name},lift,pan", *rows, ""]))
-    return load(path, START, READ)
+    return load_truth(path, START, READ)
 
 
 @pytest.mark.parametrize(
@@ -38,17 +38,17 @@ def test_load_accepts_tables_of_any_time_origin(tmp_path, name, times):
 @pytest.mark.parametrize(("key", "later"), [("start", 0), ("T0", 2_000_000_000)])
 def test_arrays_are_dated_by_their_start(tmp_path, key, later):
     np.savez(tmp_path / "a.npz", t=T, q=Q, names=np.array(["lift", "pan"]), **{key: START + later})
-    found = load(tmp_path / "a.npz", START, READ)
+    found = load_truth(tmp_path / "a.npz", START, READ)
     assert found.names == ("lift", "pan")
     np.testing.assert_allclose(found.t, T + later / 1e9, atol=1e-6)
 
 
 def test_columns_without_names_are_named_by_the_readings_they_follow(tmp_path):
     np.savez(tmp_path / "a.npz", t=T, q=Q)
-    assert load(tmp_path / "a.npz", START, READ).names == ("lift", "pan")
+    assert load_truth(tmp_path / "a.npz", START, READ).names == ("lift", "pan")
     np.savez(tmp_path / "b.npz", t=T, q=Q.mean(axis=1, keepdims=True) + np.array([-0.2, 0.2]))
     with pytest.raises(InputError, match="add an array names"):
-        load(tmp_path / "b.npz", START, READ)
+        load_truth(tmp_path / "b.npz", START, READ)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_columns_without_names_are_named_by_the_readings_they_follow(tmp_path):
 def test_load_refuses_invalid_truth_with_the_possible_forms(tmp_path, text, why):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(InputError, match=why) as refused:
-        load(tmp_path / "a.csv", START, READ)
+        load_truth(tmp_path / "a.csv", START, READ)
     assert "possible: a .csv with a column t" in str(refused.value) and "\n" not in str(refused.value)
 
 
@@ -73,4 +73,4 @@ def test_arrays_of_objects_and_truncated_archives_are_refused(tmp_path):
     (tmp_path / "b.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:200])
     for name in "ab":
         with pytest.raises(InputError, match="no truth can be read"):
-            load(tmp_path / f"{name}.npz", START, READ)
+            load_truth(tmp_path / f"{name}.npz", START, READ)

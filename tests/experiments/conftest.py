@@ -2,7 +2,7 @@
 
 import pytest
 
-from bodylog.experiments import Reproduction, reproduce
+from bodylog.experiments import Reproduction, run_reproduction
 
 
 @pytest.fixture(scope="session")
@@ -13,5 +13,5 @@ def small(tmp_path_factory):
     calls = []
     out = tmp_path_factory.mktemp("out")
     wish = Reproduction(out, ("E2",), seeds=1, jobs=1, exploration=8.0, reading={"speed": "4"})
-    claims = reproduce(wish, lambda *text: calls.append(text))
+    claims = run_reproduction(wish, lambda *text: calls.append(text))
     return wish, claims, calls

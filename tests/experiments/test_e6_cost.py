@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bodylog.experiments import e6_cost
-from bodylog.experiments.records import Readings
+from bodylog.experiments.records import ExperimentReadings
 
 
 def test_exponent_of_a_power():
@@ -23,6 +23,6 @@ def test_counted_cholesky_is_the_factor_and_costs_a_sixth_of_the_cube():
 
 
 def test_step_costs_n_times_m_where_slopes_are_dense():
-    trial = e6_cost.EXPERIMENT.run(None, 0, Readings(({},)))
-    verdicts = {claim.id: claim.verdict for claim in e6_cost.EXPERIMENT.claims([trial], Readings(({},)))}
+    trial = e6_cost.EXPERIMENT.run(None, 0, ExperimentReadings(({},)))
+    verdicts = {claim.id: claim.verdict for claim in e6_cost.EXPERIMENT.claims([trial], ExperimentReadings(({},)))}
     assert verdicts == {"E6.1": "kept", "E6.2": "kept", "E6.3": "depends on how many joints a sense depends on"}

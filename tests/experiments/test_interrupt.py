@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import pytest
 
 from bodylog.errors import PartError
-from bodylog.experiments import Reproduction, reproduce, run
+from bodylog.experiments import Reproduction, run_reproduction, run
 
 RUN = """
 import sys
 from pathlib import Path
-from bodylog.experiments import Reproduction, reproduce
+from bodylog.experiments import Reproduction, run_reproduction
 out = Path(sys.argv[1])
-reproduce(Reproduction(out, ("E2",), seeds=1, jobs=1, exploration=8.0, reading={"speed": "4"}))
+run_reproduction(Reproduction(out, ("E2",), seeds=1, jobs=1, exploration=8.0, reading={"speed": "4"}))
 """
 
 
@@ -42,7 +42,7 @@ def test_killed_and_started_again_it_ends_with_the_same_bytes(small, tmp_path):
     killed(tmp_path)
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("work/[a-z]*.mcap")}
     assert kept and not run.trial_path(wish, "E2", 0).exists()
-    assert reproduce(wish) == claims
+    assert run_reproduction(wish) == claims
     assert all(path.stat().st_mtime_ns == before for path, before in kept.items()), "recorded again"
     for name in ("index.html", "claims.json"):
         assert (tmp_path / name).read_bytes() == (whole.out / name).read_bytes()
@@ -61,6 +61,6 @@ class KilledAtSeedOne(Reproduction):
 def test_killed_worker_prints_one_line_and_keeps_finished_runs(tmp_path):
     wish, finished = KilledAtSeedOne(tmp_path, jobs=1), []
     with pytest.raises(PartError, match=r"^[^\n]*a worker process was killed[^\n]*; type the same command") as problem:
-        finished.extend(run._pooled(wish, [("E2", 0), ("E2", 1)]))
+        finished.extend(run._run_in_pool(wish, [("E2", 0), ("E2", 1)]))
     assert problem.value.exit_code == 3
     assert run.trial_path(wish, "E2", 0).exists() and not run.trial_path(wish, "E2", 1).exists()

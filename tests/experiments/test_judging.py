@@ -5,13 +5,13 @@ import math
 import pytest
 
 from bodylog.experiments.claims import Bound, Control, Counts
-from bodylog.experiments.judging import comparison, interval, own, paper, untestable, variants
+from bodylog.experiments.judging import judge_comparison, median_interval, judge_own_claim, judge_paper_claim, untestable_claim, judge_variants
 
 LOW, HIGH, NAN = (0.1,) * 10, (2.0,) * 10, (float("nan"),) * 10
 
 
 def judged(found, swept=(), controls=()):
-    return paper(
+    return judge_paper_claim(
         "E0.1",
         "",
         "",
@@ -38,7 +38,7 @@ def test_judged_gives_each_verdict():
     assert judged(named(centre=LOW, sigma_n__noise=HIGH, mu_x__zero=LOW)).verdict == "depends on σ_n"
     assert judged(named(centre=HIGH, sigma_n__noise=HIGH, mu_x__zero=NAN)).verdict == "refuted"
     assert judged(named(centre=NAN, sigma_n__noise=NAN)).verdict == "not tested"
-    assert untestable("E0.1", "", "why").verdict == "not testable here"
+    assert untestable_claim("E0.1", "", "why").verdict == "not testable here"
 
 
 def test_a_reading_that_diverges_tests_no_claim():
@@ -72,7 +72,7 @@ def test_judged_gives_turning_points_only_of_decisive_sweeps():
         ("noise", 0.1, "noise=0"),
     ]
     tried = ["centre", "speed=4"]
-    claim = paper("E0.1", "", "", "1", Bound("≤", 1.0), "it", lambda key, name: found[key, name], tried, swept)
+    claim = judge_paper_claim("E0.1", "", "", "1", Bound("≤", 1.0), "it", lambda key, name: found[key, name], tried, swept)
     assert claim.turns == "T: between 10 and 30 (period in s)"
     assert list(claim.sweeps) == ["speed"] and [number for number, _ in claim.sweeps["speed"]] == [4.0, 10.0, 30.0]
 
@@ -106,27 +106,27 @@ def test_reasons_join_readings_of_one_reason():
 
 @pytest.mark.parametrize(("wrong", "expected"), [(1, "holds"), (2, "does not hold")])
 def test_nine_of_ten_seeds_must_hold(wrong, expected):
-    assert own("E0.1", "", "", "1", Bound("≤", 1.0), LOW[wrong:] + HIGH[:wrong]).verdict == expected
+    assert judge_own_claim("E0.1", "", "", "1", Bound("≤", 1.0), LOW[wrong:] + HIGH[:wrong]).verdict == expected
 
 
 def test_own_claim_fails_for_a_diverged_belief():
     for sign in "≤≥":
-        found = own("E0.1", "", "", "1", Bound(sign, 0.0), NAN)
+        found = judge_own_claim("E0.1", "", "", "1", Bound(sign, 0.0), NAN)
         assert found.verdict == "does not hold" and math.isnan(found.outcomes["default"].median)
 
 
 def test_comparison_is_decided_by_its_last_outcome():
     both = {"published": HIGH, "ours": LOW}
-    claim = comparison("R.1", "", "", "px", Bound("≤", 1.0), both, "a", "b")
+    claim = judge_comparison("R.1", "", "", "px", Bound("≤", 1.0), both, "a", "b")
     assert claim.verdict == "holds" and claim.counts == Counts(1, 0, 0)
 
 
 def test_variants_depend_on_what_they_differ_in():
-    claim = variants("E6.1", "", "", "1", Bound("≤", 1.0), {"dense": HIGH, "sparse": LOW}, "sparsity")
+    claim = judge_variants("E6.1", "", "", "1", Bound("≤", 1.0), {"dense": HIGH, "sparse": LOW}, "sparsity")
     assert claim.verdict == "depends on sparsity" and claim.turns == "refuted: dense; kept: sparse"
 
 
 def test_interval_covers_the_median():
     """Order statistics 2 and 9 of ten hold the median with 97.9 %, 3 and 8 with 89 % only."""
-    assert interval(range(10)) == (1, 8) and interval(range(20)) == (5, 14)
-    assert interval([3.0, 1.0]) == (1.0, 3.0) and all(map(math.isnan, interval([])))
+    assert median_interval(range(10)) == (1, 8) and median_interval(range(20)) == (5, 14)
+    assert median_interval([3.0, 1.0]) == (1.0, 3.0) and all(map(math.isnan, median_interval([])))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from bodylog.experiments.oracle import DENSITIES, OracleInputs, _filtered, known, motion
+from bodylog.experiments.oracle import DENSITIES, OracleInputs, _filter_forward, estimate_by_oracle, discretise_motion
 from bodylog.sim.arms import ARMS
 from tests.estimation import textbook
 
@@ -19,7 +19,7 @@ def test_motion_is_van_loans(order):
     drive = np.zeros((order, order))
     drive[-1, -1] = 1.0
     both = expm(dt * np.block([[-a, drive], [np.zeros_like(a), a.T]]))
-    move, noise = motion(order, dt, 1)
+    move, noise = discretise_motion(order, dt, 1)
     assert np.allclose(move, both[order:, order:].T) and np.allclose(
         noise, both[order:, order:].T @ both[:order, order:]
     )
@@ -27,16 +27,16 @@ def test_motion_is_van_loans(order):
 
 def simulated(order, seed=0, count=300):
     """Joints driven by white acceleration or jerk, seen by encoders and camera."""
-    from bodylog.experiments.drawn import place
+    from bodylog.experiments.drawn import place_in_image
 
     draw, dt = np.random.default_rng(seed), 0.02
-    move, noise = motion(order, dt, 3)
+    move, noise = discretise_motion(order, dt, 3)
     root, z, x = np.linalg.cholesky({2: 0.03, 3: 0.3}[order] * noise), np.zeros(3 * order), []
     for _ in range(count):
         z = move @ z + root @ draw.standard_normal(3 * order)
         x.append(HOME + z[:3])
     true, t = np.array(x), dt * np.arange(count)
-    seen = place(true) + 0.3 * draw.standard_normal((count, 2))
+    seen = place_in_image(true) + 0.3 * draw.standard_normal((count, 2))
     seen[np.arange(count) % 2 == 1] = np.nan
     return OracleInputs(t, true + 0.02 * draw.standard_normal(true.shape), seen, 0.02**2, np.full(2, 0.09)), true
 
@@ -44,7 +44,7 @@ def simulated(order, seed=0, count=300):
 @pytest.mark.parametrize("order", [2, 3])
 def test_known_finds_the_order_of_motion_by_evidence(order):
     sensed, true = simulated(order)
-    found = known(sensed)
+    found = estimate_by_oracle(sensed)
     assert found.order == order
     errors = [np.sqrt(np.mean((x - true)[50:] ** 2)) for x in (sensed.encoders, found.filtered, found.smoothed)]
     assert errors[0] > 2 * errors[1] > 2 * errors[2]
@@ -55,5 +55,5 @@ def test_oracle_filter_equals_the_textbook_filter():
     eye = textbook.eyes(ARMS["ur5"], JOINTS, (320, 240))[0]
     frames = [(eye, sensed.place, sensed.pixel_var)]
     theirs = textbook.filtered(sensed.t, sensed.encoders, np.full(3, 0.02**2), frames, DENSITIES[2][:2])[0]
-    mine = _filtered(sensed, 2, DENSITIES[2][:2], None).mean
+    mine = _filter_forward(sensed, 2, DENSITIES[2][:2], None).mean
     assert np.abs(mine - theirs)[10:, :, :3].max() < 5e-4  # theirs linearises each frame three times

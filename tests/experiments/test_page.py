@@ -6,7 +6,7 @@ import re
 
 from bodylog.experiments import tables
 from bodylog.experiments.claims import Bound
-from bodylog.experiments.judging import comparison, erratum, own, paper, variants
+from bodylog.experiments.judging import judge_comparison, judge_erratum, judge_own_claim, judge_paper_claim, judge_variants
 from bodylog.experiments.readings import CONSTANTS
 
 
@@ -61,16 +61,16 @@ LOW = {HOSTILE: [0.0]}
 def test_whatever_a_claim_says_stays_text():
     bound = Bound("≤", 1.0)
     cells = (HOSTILE, HOSTILE, HOSTILE, HOSTILE, bound)
-    claims = [own(*cells, [0.0], HOSTILE), comparison(*cells, LOW, HOSTILE, HOSTILE), erratum(*cells, LOW, HOSTILE),
-              variants(*cells, {"a": [2.0], HOSTILE: [0.0]}, HOSTILE, HOSTILE),
-              paper(*cells, HOSTILE, lambda key, name: (0.0,), ["centre"], explanation=HOSTILE)]  # fmt: skip
+    claims = [judge_own_claim(*cells, [0.0], HOSTILE), judge_comparison(*cells, LOW, HOSTILE, HOSTILE), judge_erratum(*cells, LOW, HOSTILE),
+              judge_variants(*cells, {"a": [2.0], HOSTILE: [0.0]}, HOSTILE, HOSTILE),
+              judge_paper_claim(*cells, HOSTILE, lambda key, name: (0.0,), ["centre"], explanation=HOSTILE)]  # fmt: skip
     assert "<script" not in tables.claim_tables(claims)
     assert "<script" not in "".join(map(tables.outcomes_table, claims))
 
 
 def test_page_has_the_three_counts_and_the_reasons():
     figures = {"centre": 0.0, "sigma_v=widths": 2.0, "sigma_v=pixels": float("nan")}
-    claim = paper("E0.1", "text", "what", "1", Bound("≤", 1.0), "it", lambda key, name: (figures[key],), list(figures))
+    claim = judge_paper_claim("E0.1", "text", "what", "1", Bound("≤", 1.0), "it", lambda key, name: (figures[key],), list(figures))
     table = tables.claim_tables([claim])
     assert "<th>kept</th><th>refuted</th><th>not tested</th>" in table
     assert "<td>1</td><td>1</td><td>1</td>" in table and "the model diverged, in 1 of 1 seeds" in table

@@ -5,8 +5,8 @@ import pytest
 
 from bodylog.experiments import page
 from bodylog.experiments.claims import Bound
-from bodylog.experiments.judging import own
-from bodylog.experiments.records import Experiment, Readings, Table, panel
+from bodylog.experiments.judging import judge_own_claim
+from bodylog.experiments.records import Experiment, ExperimentReadings, TextTable, build_panel
 from tests.report import browser
 from tests.report.test_html import HOSTILE
 from tests.report.test_page_in_browser import BLANK, DRAWN, RANGES, drag_across
@@ -28,8 +28,8 @@ def opened(tmp_path, monkeypatch, window):
     for name in ("first", "second"):
         experiment = Experiment(name, HOSTILE, lambda lab, seed, tried: {}, _claims, (), _tables)
         monkeypatch.setitem(page.EXPERIMENTS, name, experiment)
-    tried = dict.fromkeys(("first", "second"), Readings(({},)))
-    page.write(tmp_path, {"first": [_trial(20.0)] * 3, "second": [_trial(12.0)] * 3}, tried, 3, "320×240")
+    tried = dict.fromkeys(("first", "second"), ExperimentReadings(({},)))
+    page.write_reproduction_page(tmp_path, {"first": [_trial(20.0)] * 3, "second": [_trial(12.0)] * 3}, tried, 3, "320×240")
     window.open(tmp_path / "index.html")
     return window
 
@@ -37,16 +37,16 @@ def opened(tmp_path, monkeypatch, window):
 def _trial(end):
     t = np.arange(0.0, end, 0.1)
     lines = {HOSTILE: np.sin(t), "true": np.where(t > 5, np.nan, np.cos(t))}
-    return {"figures": {"a": 0.5}, "panels": [panel(HOSTILE, "rad", t, lines), panel("flat", "px", t, {"a": 0 * t})]}
+    return {"figures": {"a": 0.5}, "panels": [build_panel(HOSTILE, "rad", t, lines), build_panel("flat", "px", t, {"a": 0 * t})]}
 
 
 def _claims(trials, tried):
     figures = [trial["figures"]["a"] for trial in trials]
-    return (own(HOSTILE, HOSTILE, HOSTILE, HOSTILE, Bound("≤", 1.0), figures, HOSTILE),)
+    return (judge_own_claim(HOSTILE, HOSTILE, HOSTILE, HOSTILE, Bound("≤", 1.0), figures, HOSTILE),)
 
 
 def _tables(trials):
-    return (Table(HOSTILE, (HOSTILE, "b"), ((HOSTILE, "1"),)),)
+    return (TextTable(HOSTILE, (HOSTILE, "b"), ((HOSTILE, "1"),)),)
 
 
 def test_page_opens_without_errors_and_draws_every_panel(opened):

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from bodylog.body.gp.fit import build, samples
-from bodylog.body.paper_preset import paper
+from bodylog.body.gp.fit import build_gp, samples_without_noise
+from bodylog.body.paper_preset import paper_kernels
 from bodylog.body_model import TouchConstants
 from bodylog.estimation.methods import predictive_coding as algorithm
-from bodylog.estimation.methods.grid import Plan, Sense
-from bodylog.estimation.methods.paper_touch import Literal
-from bodylog.experiments.cases import HAND_STD_PX, Explored, case, place_hand
-from bodylog.experiments.drawn import place as true_place
-from bodylog.experiments.printed import DT, Case, CaseSenses, Map, Signals, Touching, believed, filter_encoders
+from bodylog.estimation.methods.grid import GridProblem, GridSense
+from bodylog.estimation.methods.paper_touch import PaperTouch
+from bodylog.experiments.cases import HAND_STD_PX, ExplorationSamples, build_case, place_hand
+from bodylog.experiments.drawn import place_in_image as true_place
+from bodylog.experiments.printed import DT, Case, CaseSenses, Map, Signals, Touching, run_printed_model, filter_encoders
 
 WIDTH = 320.0
 STEPS = 80
@@ -25,7 +25,7 @@ def _places(x):
 def known():
     draw = np.random.default_rng(3)
     x = draw.uniform(-0.4, 0.4, (46, 3))
-    return Explored(x, _places(x), {})
+    return ExplorationSamples(x, _places(x), {})
 
 
 @pytest.fixture(scope="module")
@@ -39,22 +39,22 @@ def signals():
 
 @pytest.mark.parametrize("integration", ["printed", "implicit"])
 def test_printed_model_equals_estimation(known, signals, integration):
-    """In the reading of the preset `paper`: noise of exp(0.02) px, σ_v in squared widths."""
-    found = samples(known.x, known.y)
-    gp = build(found, paper(found), ("u", "v"), "px")
+    """In the reading of the preset `paper_kernels`: noise of exp(0.02) px, σ_v in squared widths."""
+    found = samples_without_noise(known.x, known.y)
+    gp = build_gp(found, paper_kernels(found), ("u", "v"), "px")
     start = np.array([0.1, -0.1, 0.05])
-    senses = (Sense("encoders", signals.encoders, None, np.ones((STEPS, 3)), printed=True),
-              Sense("effector", signals.place / WIDTH, gp, np.full((STEPS, 2), 5.0), WIDTH, True))  # fmt: skip
-    plan = Plan(senses, None, signals.t, DT, np.ones(3), start, np.zeros(3), start[None])
-    theirs = algorithm.descended(plan, integration == "printed")[0]
+    senses = (GridSense("encoders", signals.encoders, None, np.ones((STEPS, 3)), printed=True),
+              GridSense("effector", signals.place / WIDTH, gp, np.full((STEPS, 2), 5.0), WIDTH, True))  # fmt: skip
+    plan = GridProblem(senses, None, signals.t, DT, np.ones(3), start, np.zeros(3), start[None])
+    theirs = algorithm.integrate_belief(plan, integration == "printed")[0]
     model = Map(gp.centres, gp.scales[0], gp.amplitude[0] * gp.weights.T, gp.mean, known.scatter)
-    mine = believed(signals, [Case(model, (True,) * 3, True, WIDTH, integration, start, start)]).x[0]
+    mine = run_printed_model(signals, [Case(model, (True,) * 3, True, WIDTH, integration, start, start)]).x[0]
     assert np.allclose(mine, theirs, atol=1e-9) and np.abs(np.diff(mine, axis=0)).max() > 1e-3
 
 
 def test_noise_reading_equals_the_preset(known):
-    found = samples(known.x, known.y)
-    gp = build(found, paper(found), ("u", "v"), "px")
+    found = samples_without_noise(known.x, known.y)
+    gp = build_gp(found, paper_kernels(found), ("u", "v"), "px")
     x = np.random.default_rng(5).uniform(-0.4, 0.4, (20, 3))
     assert np.allclose(
         known.map({"sigma_n": f"{np.exp(0.02):.15g}"}).at(x), gp.predict(x)[0], atol=0.5
@@ -77,7 +77,7 @@ def test_slopes_are_differences_and_touch_pulls_as_printed(known, signals):
     assert np.allclose(slope[0], (one.model.at(x + steps) - one.model.at(x - steps)).T / 2e-6, atol=1e-3)
     off, pull = senses.touch(0, g, slope)
     weight = np.exp(-40.0 * 0.05**2)
-    other = Literal(
+    other = PaperTouch(
         _Known(one.model, slope), TouchConstants(0.9, 0.004), np.array([True]), hand[None], np.array([weight])
     )
     assert np.allclose(other.pull(0, x[0])[0], off[0]) and np.allclose(other.pull(0, x[0])[1], pull[0])
@@ -92,13 +92,13 @@ class _Known:
 
 def test_many_at_once_are_each_alone_and_what_diverges_is_not_a_number(known, signals):
     given = [{}, {"sigma_v": "pixels"}, {"integration": "equilibrium"}, {"mu_x": "zero", "integration": "implicit"}]
-    cases = [case(known, reading, "p1+p3+v", np.array([0.1, 0.1, 0.1])) for reading in given]
-    together = believed(signals, cases).x
+    cases = [build_case(known, reading, "p1+p3+v", np.array([0.1, 0.1, 0.1])) for reading in given]
+    together = run_printed_model(signals, cases).x
     for k, one in enumerate(cases):
-        assert np.array_equal(together[k], believed(signals, [one]).x[0], equal_nan=True)
+        assert np.array_equal(together[k], run_printed_model(signals, [one]).x[0], equal_nan=True)
     assert np.isfinite(together[0]).all() and not np.allclose(together[0], together[2], atol=1e-4)
     far = Case(cases[0].model, (True,) * 3, True, 1e-3, "printed", np.zeros(3), np.zeros(3))
-    assert np.isnan(believed(signals, [far]).x[0, -1]).all()
+    assert np.isnan(run_printed_model(signals, [far]).x[0, -1]).all()
 
 
 def test_case_uses_only_the_requested_senses(known, signals):
@@ -106,21 +106,21 @@ def test_case_uses_only_the_requested_senses(known, signals):
     deaf = Signals(
         signals.t, signals.encoders * [1, np.nan, 1], signals.place, signals.hand, signals.delay, signals.true
     )
-    one, other = (believed(s, [case(known, {}, "p1+p3+v", start)]).x for s in (signals, deaf))
+    one, other = (run_printed_model(s, [build_case(known, {}, "p1+p3+v", start)]).x for s in (signals, deaf))
     assert np.array_equal(one, other)
 
 
 def test_units_are_those_of_the_reading(known):
     start = np.zeros(3)
     units = {
-        v: case(known, {"sigma_v": v}, "v", start).unit
+        v: build_case(known, {"sigma_v": v}, "v", start).unit
         for v in ("standardised", "pixels", "half-widths", "widths", "17")
     }
     assert units == {"standardised": known.scatter, "pixels": 1.0, "half-widths": 160.0, "widths": 320.0, "17": 17.0}
-    touch = case(known, {"b_1": "pixels", "a_2": "1", "sigma_t": "1", "b_2": "0.06"}, "p+t", start).touch
+    touch = build_case(known, {"b_1": "pixels", "a_2": "1", "sigma_t": "1", "b_2": "0.06"}, "p+t", start).touch
     assert (touch.b1, touch.a, touch.sigma) == (1.0, 0.001, 1.0) and np.exp(-touch.b2 * 0.06**2) == pytest.approx(0.5)
-    assert case(known, {"sigma_t": "100"}, "p+t", start).touch.sigma == pytest.approx(100.0)
-    assert np.array_equal(case(known, {"mu_x": "home"}, "p", start).prior, known.home)
+    assert build_case(known, {"sigma_t": "100"}, "p+t", start).touch.sigma == pytest.approx(100.0)
+    assert np.array_equal(build_case(known, {"mu_x": "home"}, "p", start).prior, known.home)
 
 
 def test_hand_is_placed_by_the_reading_of_where_it_is_seen(signals):
@@ -141,8 +141,8 @@ def test_printed_model_is_algorithm_1_written_out(known, signals, reading):
     """Encoders, vision and touch, one instant after another, as Algorithm 1 has them with its errata corrected."""
     hand = np.where((np.arange(STEPS) % 3 > 0)[:, None], [200.0, 130.0], np.nan)
     felt = Signals(signals.t, signals.encoders, signals.place, hand, np.full(STEPS, 0.05), signals.true)
-    one = case(known, reading, "p+v+t", np.array([0.1, -0.1, 0.05]))
-    mine = believed(felt, [one]).x[0]
+    one = build_case(known, reading, "p+v+t", np.array([0.1, -0.1, 0.05]))
+    mine = run_printed_model(felt, [one]).x[0]
     assert np.allclose(mine, _written_out(felt, one), atol=1e-9) and np.abs(np.diff(mine, axis=0)).max() > 1e-3
 
 
@@ -179,7 +179,7 @@ def _written_out(signals, one):
 
 def test_belief_beyond_the_widest_angle_has_diverged(known, signals):
     """In px² one Euler step is unstable; the belief stays finite, and is no belief."""
-    found = believed(signals, [case(known, {"sigma_v": "pixels"}, "p+v", np.full(3, 0.1))]).x[0]
+    found = run_printed_model(signals, [build_case(known, {"sigma_v": "pixels"}, "p+v", np.full(3, 0.1))]).x[0]
     first = int(np.flatnonzero(np.isnan(found[:, 0]))[0])
     assert np.isnan(found[first:]).all() and np.abs(found[:first]).max() <= np.pi
 

@@ -8,13 +8,13 @@ from bodylog.experiments.readings import (
     CENTRE,
     CONSTANTS,
     TOGETHER,
-    design,
-    key,
-    number,
-    parsed,
-    restricted,
-    sweeps,
-    value,
+    design_readings,
+    reading_key,
+    reading_number,
+    parse_reading,
+    restrict_readings,
+    list_sweeps,
+    reading_value,
 )
 
 
@@ -28,13 +28,13 @@ def test_constants_have_a_source_and_alternatives():
 
 @pytest.mark.parametrize("reading", [{}, *TOGETHER, {"speed": "30"}, {"sigma_n": "noise"}])
 def test_key_is_read_back(reading):
-    assert key(parsed(key(reading))) == key(reading)
+    assert reading_key(parse_reading(reading_key(reading))) == reading_key(reading)
 
 
 def test_centre_has_one_key_however_typed():
-    assert key(parsed("sigma_n=amplitude,speed=15")) == CENTRE == key({})
-    assert value({}, "sigma_n") == "amplitude" and number({"noise": "0.1"}, "noise") == 0.1
-    assert number({"sigma_v": "widths"}, "sigma_v") is None and number({"sigma_v": "17"}, "sigma_v") == 17.0
+    assert reading_key(parse_reading("sigma_n=amplitude,speed=15")) == CENTRE == reading_key({})
+    assert reading_value({}, "sigma_n") == "amplitude" and reading_number({"noise": "0.1"}, "noise") == 0.1
+    assert reading_number({"sigma_v": "widths"}, "sigma_v") is None and reading_number({"sigma_v": "17"}, "sigma_v") == 17.0
 
 
 @pytest.mark.parametrize(
@@ -50,14 +50,14 @@ def test_centre_has_one_key_however_typed():
 )
 def test_parsed_names_the_possible_values(typed, given):
     with pytest.raises(UsageError) as found:
-        parsed(typed)
+        parse_reading(typed)
     assert given in str(found.value)
 
 
 def test_design_has_centre_single_values_and_joint_readings():
-    found = [key(reading) for reading in design(("sigma_n", "sigma_v"))]
+    found = [reading_key(reading) for reading in design_readings(("sigma_n", "sigma_v"))]
     assert found[0] == CENTRE and len(found) == len(set(found))
     assert {"sigma_n=noise", "sigma_v=pixels", "sigma_n=noise,sigma_v=widths"} <= set(found)
     assert not any("integration" in one for one in found)
-    assert [reading for _, _, reading in sweeps(["mu_x"])] == []
-    assert restricted(design(("sigma_n", "noise")), ["noise"]) == ({}, {"noise": "0.005"}, {"noise": "0.1"})
+    assert [reading for _, _, reading in list_sweeps(["mu_x"])] == []
+    assert restrict_readings(design_readings(("sigma_n", "noise")), ["noise"]) == ({}, {"noise": "0.005"}, {"noise": "0.1"})

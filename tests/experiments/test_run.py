@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.experiments import EXPERIMENTS, reproduce, run
+from bodylog.experiments import EXPERIMENTS, run_reproduction, run
 from bodylog.experiments.records import Experiment
 
 
@@ -25,7 +25,7 @@ def test_second_run_computes_nothing_and_keeps_bytes(small, monkeypatch):
     names = ("index.html", "claims.json", "data/E2.csv", "data/figures.csv", "data/outcomes.csv")
     before = [(wish.out / name).read_bytes() for name in names]
     monkeypatch.setitem(run.EXPERIMENTS, "E2", replace(EXPERIMENTS["E2"], run=_never))
-    assert reproduce(wish) == claims
+    assert run_reproduction(wish) == claims
     assert [(wish.out / name).read_bytes() for name in names] == before
 
 
@@ -37,8 +37,8 @@ def test_interrupted_run_continues_at_its_place(small, monkeypatch):
     monkeypatch.setitem(run.EXPERIMENTS, "E2", EXPERIMENTS["E2"])
     wish = replace(wish, names=("E9",), seeds=3)
     with pytest.raises(KeyboardInterrupt):
-        list(run._finished(wish, [("E9", seed) for seed in range(3)]))
-    list(run._finished(wish, [("E9", seed) for seed in range(3)]))
+        list(run._iterate_finished(wish, [("E9", seed) for seed in range(3)]))
+    list(run._iterate_finished(wish, [("E9", seed) for seed in range(3)]))
     assert made == [0, 1, 1, 2]
 
 
@@ -59,7 +59,7 @@ def _never(*_):
 def test_reproduce_names_missing_packages_before_any_run(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "find_spec", lambda name: None)
     with pytest.raises(UsageError, match=r"pybullet is not installed; type: pip install 'bodylog\[sim\]'"):
-        reproduce(run.Reproduction(tmp_path / "out"))
+        run_reproduction(run.Reproduction(tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 
 
@@ -90,9 +90,9 @@ def test_unknown_experiment_lists_the_known_ones():
     with pytest.raises(
         UsageError, match=r"'E7'.*Data, E1, E2, E3, E4, E5, E6, Rubber-hand, PixelAI, Baselines, Errata, Real"
     ):
-        run.chosen(["E7"])
-    assert run.chosen(["e3", "E1"]) == ("E1", "E3") and run.chosen(["rubber-hand"]) == ("Rubber-hand",)
-    assert run.chosen([]) == tuple(name for name in EXPERIMENTS if name != "Real")
+        run.choose_experiments(["E7"])
+    assert run.choose_experiments(["e3", "E1"]) == ("E1", "E3") and run.choose_experiments(["rubber-hand"]) == ("Rubber-hand",)
+    assert run.choose_experiments([]) == tuple(name for name in EXPERIMENTS if name != "Real")
 
 
 def test_command_takes_a_reading_and_explains_a_wrong_one(tmp_path, capsys, run_cli):

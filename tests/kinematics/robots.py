@@ -6,10 +6,10 @@ import numpy as np
 
 from bodylog.kinematics import urdf
 from bodylog.kinematics.calibration import Sighted
-from bodylog.kinematics.camera import lens
-from bodylog.kinematics.chain import between
-from bodylog.kinematics.rig import Camera, Carrier, Rig, Sight
-from bodylog.kinematics.rotations import exponential, transform
+from bodylog.kinematics.camera import lens_without_distortion
+from bodylog.kinematics.chain import chain_between
+from bodylog.kinematics.rig import RigCamera, Carrier, Rig, Sight
+from bodylog.kinematics.rotations import rotation_from_vector, make_transform
 
 JOINTS = ("pan", "lift", "elbow", "wrist")
 ARM = """<?xml version="1.0"?>
@@ -47,12 +47,12 @@ MIXED = """<robot name="mixed">
 
 def rig(doubt: float = np.radians(5.0), known: bool = True, text: str = ARM) -> Rig:
     """A camera 1.8 m before the arm, known to a centimetre and a degree or unknown, and a point on the tool."""
-    robot = urdf.parse(text, "arm.urdf")
+    robot = urdf.parse_urdf(text, "arm.urdf")
     pose = np.array([0.01] * 3 + [np.radians(1.0)] * 3) if known else np.full(6, 10.0)
     lens_doubt = np.array([0.01, 0.002, 3.0, 3.0, 0.01, 0.01]) if known else np.array([0.4, 0.02, 30.0, 30.0, 0.2, 0.2])
     anchor, stds = camera_pose() if known else np.eye(4), np.append(pose, lens_doubt)
-    camera = Camera("camera", "base", anchor, lens(600.0, 640, 480), stds)
-    sight = Sight("point", 0, 0, between(robot, "base", "tool").over(JOINTS))
+    camera = RigCamera("camera", "base", anchor, lens_without_distortion(600.0, 640, 480), stds)
+    sight = Sight("point", 0, 0, chain_between(robot, "base", "tool").over(JOINTS))
     return Rig((camera,), (Carrier("point", "tool", np.eye(4), np.full(3, 0.3)),), (sight,), JOINTS, np.full(4, doubt))
 
 
@@ -62,7 +62,7 @@ def board() -> Rig:
     grid = np.stack(np.meshgrid(np.arange(4), np.arange(3)), axis=-1).reshape(-1, 2) * 0.05
     points = np.column_stack([grid, np.zeros(12)])
     camera = replace(one.cameras[0], anchor=camera_pose())
-    anchor = transform(exponential(np.array([0.2, 0.3, -0.4])), np.array([0.02, 0.0, 0.05]))
+    anchor = make_transform(rotation_from_vector(np.array([0.2, 0.3, -0.4])), np.array([0.02, 0.0, 0.05]))
     carrier = Carrier("board", "tool", anchor, np.full(6, 10.0))
     sight = Sight("board", 0, 0, one.sights[0].chain, points)
     return Rig((camera,), (carrier,), (sight,), JOINTS, one.doubt)
@@ -71,7 +71,7 @@ def board() -> Rig:
 def camera_pose() -> np.ndarray:
     """The base in the camera (4,4): 1.8 m away, the camera upright and level."""
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    return transform(exponential(np.array([0.1, -0.2, 0.05])) @ turn, np.array([0.1, 0.3, 1.8]))
+    return make_transform(rotation_from_vector(np.array([0.1, -0.2, 0.05])) @ turn, np.array([0.1, 0.3, 1.8]))
 
 
 def truth(one: Rig, offsets: dict[str, float] | None = None, seed: int = 0) -> np.ndarray:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from bodylog.kinematics import identifiability, urdf
-from bodylog.kinematics.calibration import Sighted, calibrate
-from bodylog.kinematics.links import CameraHint, Track, find
-from bodylog.kinematics.rig import Camera, Carrier, Rig, Sight
-from bodylog.kinematics.rotations import exponential, transform
-from bodylog.kinematics.starts import hand_eye, planar, resection, starts
+from bodylog.kinematics.calibration import Sighted, calibrate_rig
+from bodylog.kinematics.links import CameraHint, MarkerTrack, find_links
+from bodylog.kinematics.rig import RigCamera, Carrier, Rig, Sight
+from bodylog.kinematics.rotations import rotation_from_vector, make_transform
+from bodylog.kinematics.starts import hand_eye, planar_board_pose, resect_pose, find_starts
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM, JOINTS, board
 
@@ -19,8 +19,8 @@ SEEDS = range(12)
 
 
 def solve(rig, data):
-    anchored, first = starts(rig, [data])
-    return calibrate(anchored, [data], first)
+    anchored, first = find_starts(rig, [data])
+    return calibrate_rig(anchored, [data], first)
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -69,9 +69,9 @@ def test_false_sightings_do_not_move_the_calibration():
 def test_unidentified_unknowns_are_named_without_a_value():
     rig = robots.rig(known=False)
     found = solve(rig, robots.seen(rig, robots.truth(rig), robots.angles(80), 0.3))
-    offsets = {one.joint: one for one in identifiability.offsets(found.rig, found.theta, found.covariance)}
+    offsets = {one.joint: one for one in identifiability.joint_zeros(found.rig, found.theta, found.covariance)}
     assert [name for name, one in offsets.items() if one.identifiable] == ["lift", "elbow"]
-    text = "; ".join(identifiability.unidentified(list(offsets.values())))
+    text = "; ".join(identifiability.describe_unidentified(list(offsets.values())))
     assert "pan: its zero cannot be separated from camera's" in text and "turn about the z axis of base" in text
     assert "wrist: its zero cannot be separated from point's place" in text
 
@@ -84,14 +84,14 @@ def test_calibrate_with_a_zero_offset_prior_fixes_offsets():
 
 @pytest.mark.parametrize("swapped", [False, True])
 def test_links_of_camera_and_marker_are_found_by_evidence(swapped):
-    robot = urdf.parse(ARM, "arm.urdf")
+    robot = urdf.parse_urdf(ARM, "arm.urdf")
     rig = robots.rig(known=False)
     theta = robots.truth(rig)
     data = robots.seen(rig, theta, robots.angles(60), 0.3)
     if swapped:  # the camera on the tool looks at a point beside the base
         data = _eye_in_hand(robots.angles(60))
-    track = Track("", "point", data)
-    found = find(robot, JOINTS, {}, {"point": track}, {"": CameraHint(size=(640, 480))}, 5 * DEGREE)
+    track = MarkerTrack("", "point", data)
+    found = find_links(robot, JOINTS, {}, {"point": track}, {"": CameraHint(size=(640, 480))}, 5 * DEGREE)
     best = found.calibrated.rig
     links = best.cameras[0].link, best.carriers[0].link
     assert links == (("hand", "base") if swapped else ("base", "hand"))
@@ -99,21 +99,21 @@ def test_links_of_camera_and_marker_are_found_by_evidence(swapped):
 
 
 def _eye_in_hand(q):
-    robot = urdf.parse(ARM, "arm.urdf")
-    from bodylog.kinematics.chain import between
+    robot = urdf.parse_urdf(ARM, "arm.urdf")
+    from bodylog.kinematics.chain import chain_between
 
-    chain = between(robot, "tool", "base").over(JOINTS)
+    chain = chain_between(robot, "tool", "base").over(JOINTS)
     place = chain.at(np.median(q, axis=0)[None])
     target = np.array([0.6, 0.2, 0.0])
     inside = place.rotation[0] @ target + place.place[0]
     axis = inside / np.linalg.norm(inside)
-    from bodylog.kinematics.rotations import from_z
+    from bodylog.kinematics.rotations import rotation_from_z
 
-    anchor = transform(from_z(axis).T, np.zeros(3))
+    anchor = make_transform(rotation_from_z(axis).T, np.zeros(3))
     doubt = np.ones(12)
     rig = Rig(
-        (Camera("c", "tool", anchor, np.array([np.log(600.0), 0.0, 320.0, 240.0, 0.0, 0.0]), doubt),),
-        (Carrier("p", "base", transform(np.eye(3), target), np.ones(3)),),
+        (RigCamera("c", "tool", anchor, np.array([np.log(600.0), 0.0, 320.0, 240.0, 0.0, 0.0]), doubt),),
+        (Carrier("p", "base", make_transform(np.eye(3), target), np.ones(3)),),
         (Sight("s", 0, 0, chain),),
         JOINTS,
         np.ones(4),
@@ -135,7 +135,7 @@ def test_calibrate_finds_a_hand_board_from_its_corners():
     )
     found = solve(blind, Sighted(q, image, np.zeros(image.shape)))
     assert 0.15 < np.sqrt(found.noise) < 0.25
-    offsets = {one.joint: one for one in identifiability.offsets(found.rig, found.theta, found.covariance)}
+    offsets = {one.joint: one for one in identifiability.joint_zeros(found.rig, found.theta, found.covariance)}
     assert not offsets["pan"].identifiable and not offsets["wrist"].identifiable
     for name, true in (("lift", 1.0), ("elbow", -1.5)):
         assert offsets[name].identifiable and offsets[name].std < 0.3 * DEGREE
@@ -144,15 +144,15 @@ def test_calibrate_finds_a_hand_board_from_its_corners():
 
 def test_starts_are_exact_without_noise():
     draw = np.random.default_rng(5)
-    pose = transform(exponential(draw.normal(size=3)), np.array([0.1, -0.2, 3.0]))
+    pose = make_transform(rotation_from_vector(draw.normal(size=3)), np.array([0.1, -0.2, 3.0]))
     points = draw.uniform(-1, 1, (20, 3))
     inside = points @ pose[:3, :3].T + pose[:3, 3]
-    np.testing.assert_allclose(resection(points, inside[:, :2] / inside[:, 2:]), pose, atol=1e-6)
-    assert resection(points[:4], points[:4, :2]) is None
+    np.testing.assert_allclose(resect_pose(points, inside[:, :2] / inside[:, 2:]), pose, atol=1e-6)
+    assert resect_pose(points[:4], points[:4, :2]) is None
     flat = points * [1.0, 1.0, 0.0]
     inside = flat @ pose[:3, :3].T + pose[:3, 3]
-    np.testing.assert_allclose(planar(flat, inside[:, :2] / inside[:, 2:]), pose, atol=1e-6)
-    x, z = (transform(exponential(draw.normal(size=3)), draw.normal(size=3)) for _ in range(2))
-    links = [transform(exponential(draw.normal(size=3)), draw.normal(size=3)) for _ in range(8)]
+    np.testing.assert_allclose(planar_board_pose(flat, inside[:, :2] / inside[:, 2:]), pose, atol=1e-6)
+    x, z = (make_transform(rotation_from_vector(draw.normal(size=3)), draw.normal(size=3)) for _ in range(2))
+    links = [make_transform(rotation_from_vector(draw.normal(size=3)), draw.normal(size=3)) for _ in range(8)]
     found = hand_eye([x @ link @ z for link in links], links)
     np.testing.assert_allclose(found, (x, z), atol=1e-6)

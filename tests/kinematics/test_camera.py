@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bodylog.kinematics import rotations
-from bodylog.kinematics.camera import lens, project
-from bodylog.kinematics.instant import instant
+from bodylog.kinematics.camera import lens_without_distortion, project_points
+from bodylog.kinematics.instant import compile_predictor
 from tests.kinematics import robots
 from tests.kinematics.robots import board
 
@@ -20,10 +20,10 @@ VECTORS = st.tuples(*[st.floats(-3.0, 3.0)] * 3).map(np.array)
 def test_logarithm_undoes_exponential(vector):
     size = np.linalg.norm(vector)
     vector = vector * min(1.0, 3.1 / max(size, 1e-9))
-    rotation = rotations.exponential(vector)
+    rotation = rotations.rotation_from_vector(vector)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(rotations.logarithm(rotation), vector, atol=1e-6)
-    np.testing.assert_allclose(rotations.from_rpy(rotations.to_rpy(rotation)), rotation, atol=1e-7)
+    np.testing.assert_allclose(rotations.vector_from_rotation(rotation), vector, atol=1e-6)
+    np.testing.assert_allclose(rotations.rotation_from_rpy(rotations.rpy_from_rotation(rotation)), rotation, atol=1e-7)
 
 
 @given(VECTORS)
@@ -31,32 +31,32 @@ def test_left_jacobian_is_the_slope_of_the_exponential(vector):
     slope = rotations.left_jacobian(vector)
     for k in range(3):
         step = STEP * np.eye(3)[k]
-        both = rotations.exponential(vector + step) @ rotations.exponential(vector - step).T
-        np.testing.assert_allclose(rotations.logarithm(both) / (2 * STEP), slope[:, k], atol=1e-6)
+        both = rotations.rotation_from_vector(vector + step) @ rotations.rotation_from_vector(vector - step).T
+        np.testing.assert_allclose(rotations.vector_from_rotation(both) / (2 * STEP), slope[:, k], atol=1e-6)
 
 
 @given(VECTORS.filter(lambda v: np.linalg.norm(v) > 1e-3))
 def test_from_z_turns_z_into_the_axis(vector):
     axis = vector / np.linalg.norm(vector)
-    turn = rotations.from_z(axis)
+    turn = rotations.rotation_from_z(axis)
     np.testing.assert_allclose(turn[:, 2], axis, atol=1e-9)
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
 
 
 def test_projection_is_a_pinholes_and_its_slopes_finite_differences():
-    numbers = lens(600.0, 640, 480)
-    image, _, _ = project(np.array([[0.1, -0.2, 2.0]]), numbers)
+    numbers = lens_without_distortion(600.0, 640, 480)
+    image, _, _ = project_points(np.array([[0.1, -0.2, 2.0]]), numbers)
     np.testing.assert_allclose(image, [[320 + 30.0, 240 - 60.0]])
     numbers = numbers + np.array([0.01, 0.02, 3.0, -4.0, 0.1, -0.05])
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (7, 3)) + np.array([0.0, 0.0, 1.5])
-    _, by_point, by_lens = project(points, numbers)
+    _, by_point, by_lens = project_points(points, numbers)
     for k in range(3):
         step = STEP * np.eye(3)[k]
-        numeric = (project(points + step, numbers)[0] - project(points - step, numbers)[0]) / (2 * STEP)
+        numeric = (project_points(points + step, numbers)[0] - project_points(points - step, numbers)[0]) / (2 * STEP)
         np.testing.assert_allclose(by_point[..., k], numeric, atol=1e-5)
     for k in range(6):
         step = STEP * np.eye(6)[k]
-        numeric = (project(points, numbers + step)[0] - project(points, numbers - step)[0]) / (2 * STEP)
+        numeric = (project_points(points, numbers + step)[0] - project_points(points, numbers - step)[0]) / (2 * STEP)
         np.testing.assert_allclose(by_lens[..., k], numeric, atol=1e-4)
 
 
@@ -67,7 +67,7 @@ def test_one_posture_equals_many():
         theta[3:6] += [0.1, -0.2, 0.3]
         theta[rig.of_carrier(0)] += 0.05
         one = replace(rig.sights[0], points=rig.sights[0].points[[point]])
-        at, q = instant(replace(rig, sights=(one,)), theta), robots.angles(4)
+        at, q = compile_predictor(replace(rig, sights=(one,)), theta), robots.angles(4)
         seen = rig.see(rig.sights[0], theta, q)
         for k in range(4):
             many = (seen.image[k, point], seen.slope[k, point], seen.design[k, point])

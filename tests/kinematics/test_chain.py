@@ -5,7 +5,7 @@ import pytest
 
 from bodylog.errors import ModelError
 from bodylog.kinematics import urdf
-from bodylog.kinematics.chain import between
+from bodylog.kinematics.chain import chain_between
 from tests.kinematics.robots import ARM, JOINTS, MIXED
 
 STEP = 1e-6
@@ -16,7 +16,7 @@ STEP = 1e-6
 )
 def test_poses_are_those_of_another_library(text, start, end, tmp_path):
     pybullet = pytest.importorskip("pybullet")
-    chain = between(urdf.parse(text, "r"), start, end)
+    chain = chain_between(urdf.parse_urdf(text, "r"), start, end)
     for q in np.random.default_rng(3).uniform(-1.5, 1.5, (3, len(chain.joints))):
         ends = ends_of(pybullet, text, dict(zip(chain.joints, q, strict=True)), tmp_path)
         pose, poses = np.linalg.inv(ends[start]) @ ends[end], chain.at(q[None])
@@ -55,7 +55,7 @@ def _linked(pybullet, client, body, angles):
 
 @pytest.mark.parametrize(("text", "start", "end"), [(ARM, "base", "tool"), (MIXED, "e", "d")])
 def test_slopes_are_finite_differences(text, start, end):
-    chain = between(urdf.parse(text, "r"), start, end)
+    chain = chain_between(urdf.parse_urdf(text, "r"), start, end)
     q = np.random.default_rng(4).uniform(-1, 1, (6, len(chain.joints)))
     points = np.array([[0.1, 0.2, -0.1], [0.0, 0.0, 0.0]])
 
@@ -71,17 +71,17 @@ def test_slopes_are_finite_differences(text, start, end):
 
 
 def test_strides_are_how_the_end_moves_as_links_grow():
-    chain = between(urdf.parse(ARM, "r"), "base", "tool")
+    chain = chain_between(urdf.parse_urdf(ARM, "r"), "base", "tool")
     q = np.random.default_rng(5).uniform(-1, 1, (4, 4))
     poses = chain.at(q)
     for k in range(3):
-        longer = between(urdf.parse(ARM, "r"), "base", "tool")
+        longer = chain_between(urdf.parse_urdf(ARM, "r"), "base", "tool")
         longer.fixed[k + 1, :3, 3] *= 1.0 + STEP
         np.testing.assert_allclose((longer.at(q).place - poses.place) / STEP, poses.strides[:, k], atol=1e-8)
 
 
 def test_held_joints_leave_the_others_poses():
-    chain = between(urdf.parse(ARM, "r"), "base", "tool")
+    chain = chain_between(urdf.parse_urdf(ARM, "r"), "base", "tool")
     q = np.random.default_rng(6).uniform(-1, 1, (3, 4))
     q[:, 1] = 0.4
     held = chain.holding({"lift": 0.4})
@@ -92,8 +92,8 @@ def test_held_joints_leave_the_others_poses():
 
 
 def test_unknown_links_and_unsupported_joints_are_named():
-    robot = urdf.parse(ARM.replace('type="continuous"', 'type="floating"'), "arm.urdf")
+    robot = urdf.parse_urdf(ARM.replace('type="continuous"', 'type="floating"'), "arm.urdf")
     with pytest.raises(ModelError, match="'elbow' between base and tool is floating"):
-        between(robot, "base", "tool")
+        chain_between(robot, "base", "tool")
     with pytest.raises(ModelError, match="no link 'head'"):
-        between(robot, "base", "head")
+        chain_between(robot, "base", "head")

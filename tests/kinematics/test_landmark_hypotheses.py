@@ -5,8 +5,8 @@ import pytest
 
 from bodylog.kinematics.landmark_errors import unknowns_covariance
 from bodylog.kinematics.landmark_fit import search_delay, staged_fit
-from bodylog.kinematics.landmark_hypotheses import CAMERA, SOUND, Change, information, weigh, widened
-from bodylog.kinematics.landmarks import Belief
+from bodylog.kinematics.landmark_hypotheses import CAMERA, SOUND, ChangeHypothesis, information_of_log, weigh_hypotheses, widen_zero_belief
+from bodylog.kinematics.landmarks import LandmarkBelief
 from bodylog.types import Array
 
 from .test_landmarks import JOINTS, model, motion, seen, truth
@@ -14,24 +14,24 @@ from .test_landmarks import JOINTS, model, motion, seen, truth
 NATS = 8.0
 
 
-def changes(offset: Array, moved: Array, seed: int) -> dict[str, Change]:
+def changes(offset: Array, moved: Array, seed: int) -> dict[str, ChangeHypothesis]:
     """The hypotheses of a log whose readings are off by `offset` (4,) rad, for a belief of 0.3° and 5 mm."""
     built = model([motion(seed)])
     phi = truth(built, delay=0.03)
     std = built.prior[1].copy()
     std[:6], std[6], std[built.rig.of_joints] = 0.005, 0.003, 0.005
     std[7:12] *= 0.2
-    belief = Belief(phi.copy(), np.diag(std**2))
+    belief = LandmarkBelief(phi.copy(), np.diag(std**2))
     there = phi.copy()
     there[built.rig.of_joints] -= offset
     there[:6] += moved
     part, _ = seen(built, there, seed + 1)
-    free = widened(built, belief)
+    free = widen_zero_belief(built, belief)
     start, _ = search_delay(free, belief.mean.copy(), part.thinned(4))
     found = staged_fit(free, start, part.thinned(2))
     assert found is not None
-    told = information(free, found.phi, unknowns_covariance(found))
-    return {one.name: one for one in weigh(built, belief, told)}
+    log_information = information_of_log(free, found.phi, unknowns_covariance(found))
+    return {one.name: one for one in weigh_hypotheses(built, belief, log_information)}
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])
@@ -59,17 +59,17 @@ def test_evidence_is_that_of_the_gaussian():
     built = model([motion(400)])
     count = len(built.prior[0])
     rng = np.random.default_rng(1)
-    belief = Belief(np.zeros(count), np.diag(rng.uniform(0.01, 0.02, count) ** 2))
+    belief = LandmarkBelief(np.zeros(count), np.diag(rng.uniform(0.01, 0.02, count) ** 2))
     design = rng.standard_normal((40, count)) * 50.0
     phi = belief.mean.copy()
     index = built.rig.of_joints.start + 2
     phi[index] = 0.08
     z = design @ phi + rng.standard_normal(40)
-    free = widened(built, belief)
+    free = widen_zero_belief(built, belief)
     precision = design.T @ design + free.prior_precision
     mean = np.linalg.solve(precision, design.T @ z)
-    told = information(free, mean, np.linalg.inv(precision))
-    found = {one.name: one for one in weigh(built, belief, told)}
+    log_information = information_of_log(free, mean, np.linalg.inv(precision))
+    found = {one.name: one for one in weigh_hypotheses(built, belief, log_information)}
 
     def ln_evidence(covariance: Array) -> float:
         spread = design @ covariance @ design.T + np.eye(40)

@@ -7,7 +7,7 @@ import numpy as np
 from bodylog.body_model import LandmarkMap
 from bodylog.kinematics.landmark_adjustment import Landmarks, reduce_normal
 from bodylog.kinematics.landmark_map import foretell, nearest_views, place_prior, view_maps
-from bodylog.kinematics.landmarks import Belief, LandmarkModel, Sightings
+from bodylog.kinematics.landmarks import LandmarkBelief, LandmarkModel, LandmarkSightings
 
 from .test_landmarks import model, motion, seen, truth
 
@@ -15,7 +15,7 @@ from .test_landmarks import model, motion, seen, truth
 def with_changes(built: LandmarkModel) -> LandmarkModel:
     mean, std = built.prior
     more = 6 + len(built.rig.joints)
-    belief = Belief(np.concatenate([mean, np.zeros(more)]), np.diag(np.concatenate([std, np.full(more, 0.05)]) ** 2))
+    belief = LandmarkBelief(np.concatenate([mean, np.zeros(more)]), np.diag(np.concatenate([std, np.full(more, 0.05)]) ** 2))
     return replace(built, belief=belief, changes=True)
 
 
@@ -47,12 +47,12 @@ def test_map_as_a_prior_is_one_adjustment_of_both_logs():
     places = np.array([both.bodies[b].centre for b in body])
     count = first.count
 
-    def rows(part: Sightings, chosen: np.ndarray) -> Sightings:
-        return Sightings(part.piece[chosen], part.log[chosen], part.t[chosen], part.uv[chosen], part.height)
+    def rows(part: LandmarkSightings, chosen: np.ndarray) -> LandmarkSightings:
+        return LandmarkSightings(part.piece[chosen], part.log[chosen], part.t[chosen], part.uv[chosen], part.height)
 
     early, late = rows(first, ~later), rows(second, later)
     order = np.lexsort((np.r_[early.t, late.t], np.r_[early.log, late.log], np.r_[early.piece, late.piece]))
-    joined = Sightings(
+    joined = LandmarkSightings(
         *(np.concatenate([getattr(early, name), getattr(late, name)])[order] for name in ("piece", "log", "t", "uv")),
         first.height,
     )

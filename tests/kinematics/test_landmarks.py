@@ -7,13 +7,13 @@ import pytest
 
 from bodylog.errors import ModelError
 from bodylog.kinematics import urdf
-from bodylog.kinematics.joint_motion import JointMotion, joint_motion
-from bodylog.kinematics.landmark_adjustment import Landmarks, adjust, assign, reduce_normal, whiten
+from bodylog.kinematics.joint_motion import JointCurve, curve_through_samples
+from bodylog.kinematics.landmark_adjustment import Landmarks, adjust_landmarks, assign_pieces, reduce_normal, whiten_residuals
 from bodylog.kinematics.landmark_errors import unknowns_covariance
 from bodylog.kinematics.landmark_fit import LandmarkFit, build_model, choose_pieces, search_delay, staged_fit
-from bodylog.kinematics.landmarks import Belief, LandmarkModel, Sightings, sightings
+from bodylog.kinematics.landmarks import LandmarkBelief, LandmarkModel, LandmarkSightings, join_landmark_tracks
 from bodylog.kinematics.links import FREE_LENS, TF_POSE, Space
-from bodylog.kinematics.rig import Camera
+from bodylog.kinematics.rig import RigCamera
 from bodylog.types import Array
 
 JOINTS = ("pan", "lift", "elbow", "wrist")
@@ -29,17 +29,17 @@ ARM = """<robot name="arm"><link name="base"/>
 LENS = np.array([np.log(600.0), 0.0, 320.0, 240.0, -0.05, 0.0])
 
 
-def motion(seed: int, duration: float = 20.0) -> JointMotion:
+def motion(seed: int, duration: float = 20.0) -> JointCurve:
     """Sums of slow sines for four joints, rad."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, duration, 0.01)
     phases, rates = rng.uniform(0, 6.3, (3, 4)), rng.uniform(0.6, 2.5, (3, 4))
     q = np.sin(rates * t[:, None, None] + phases).sum(axis=1) * [0.3, 0.2, 0.3, 0.5]
     middle = np.array([0.0, 0.4, 0.9, 0.0])
-    return joint_motion(t, q + middle)
+    return curve_through_samples(t, q + middle)
 
 
-def camera() -> Camera:
+def camera() -> RigCamera:
     """A camera 1.6 m before the arm, looking at it."""
     forward = np.array([-1.0, 0.1, -0.2]) / np.linalg.norm([-1.0, 0.1, -0.2])
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -47,15 +47,15 @@ def camera() -> Camera:
     turn = np.stack([right, np.cross(forward, right), forward])
     anchor = np.eye(4)
     anchor[:3, :3], anchor[:3, 3] = turn, -turn @ (-1.6 * forward + [0.0, 0.0, 0.5])
-    return Camera("camera", "base", anchor, LENS, np.concatenate([TF_POSE, FREE_LENS]))
+    return RigCamera("camera", "base", anchor, LENS, np.concatenate([TF_POSE, FREE_LENS]))
 
 
-def model(motions: list[JointMotion]) -> LandmarkModel:
-    space = Space(urdf.parse(ARM, "arm.urdf"), JOINTS, {}, np.radians(5.0))
+def model(motions: list[JointCurve]) -> LandmarkModel:
+    space = Space(urdf.parse_urdf(ARM, "arm.urdf"), JOINTS, {}, np.radians(5.0))
     return build_model(space, camera(), motions, np.radians(5.0))
 
 
-def seen(built: LandmarkModel, phi: Array, seed: int, pieces: int = 120, noise: float = 0.2) -> tuple[Sightings, Array]:
+def seen(built: LandmarkModel, phi: Array, seed: int, pieces: int = 120, noise: float = 0.2) -> tuple[LandmarkSightings, Array]:
     """Pieces of 24 frames at 12 Hz of points on the moving links, and the numbers of their bodies (K,)."""
     rng = np.random.default_rng(seed)
     body = rng.integers(1, len(built.bodies), pieces)
@@ -63,7 +63,7 @@ def seen(built: LandmarkModel, phi: Array, seed: int, pieces: int = 120, noise: 
     starts = rng.uniform(1.0, 16.0, pieces)
     t = (starts[:, None] + np.arange(24) / 12.0).ravel()
     piece = np.repeat(np.arange(pieces), 24)
-    part = Sightings(piece, np.zeros(len(piece), int), t, np.full((len(t), 2), 240.0), 480.0)
+    part = LandmarkSightings(piece, np.zeros(len(piece), int), t, np.full((len(t), 2), 240.0), 480.0)
     for _ in range(3):  # the row time needs the row
         part = replace(part, uv=built.predict(phi, part, body, places).image)
     wander = np.zeros((pieces, 24, 2))
@@ -106,8 +106,8 @@ def test_elimination_equals_the_whole_system():
     predicted = built.predict(phi, part, body, places)
     shared, weight = len(phi), np.repeat(reduced.weight, 2)
     whole = np.zeros((2 * len(part.piece), shared + 3 * part.count))
-    whole[:, :shared] = whiten(predicted.by_shared, part, 0.8).reshape(-1, shared)
-    own = whiten(predicted.by_place, part, 0.8).reshape(-1, 3)
+    whole[:, :shared] = whiten_residuals(predicted.by_shared, part, 0.8).reshape(-1, shared)
+    own = whiten_residuals(predicted.by_place, part, 0.8).reshape(-1, 3)
     for row, number in enumerate(np.repeat(part.piece, 2)):
         whole[row, shared + 3 * number : shared + 3 * number + 3] = own[row]
     sizes = np.array([built.bodies[b].size for b in body])
@@ -121,7 +121,7 @@ def test_each_piece_is_found_on_its_link():
     built = model([motion(4)])
     phi = truth(built)
     part, body = seen(built, phi, 5)
-    chosen = assign(built, phi, part)
+    chosen = assign_pieces(built, phi, part)
     assert (chosen.body == body).mean() > 0.9
     assert np.median(chosen.error) < 0.6
 
@@ -153,10 +153,10 @@ def test_adjustment_lessens_the_cost():
     built = model([motion(40)])
     phi = truth(built)
     part, body = seen(built, phi, 41, pieces=40)
-    places = assign(built, phi, part).places
+    places = assign_pieces(built, phi, part).places
     start = Landmarks(body, places)
     free = np.arange(len(phi)) < 7
-    moved, after, reduced = adjust(built, built.prior[0].copy(), part, start, free)
+    moved, after, reduced = adjust_landmarks(built, built.prior[0].copy(), part, start, free)
     assert reduced.cost < reduce_normal(built, built.prior[0], part, start).cost
     assert LandmarkFit(built, moved, free, part, np.arange(40), after, reduced).error_px < 1.0
 
@@ -164,7 +164,7 @@ def test_adjustment_lessens_the_cost():
 def test_logs_are_joined_with_a_delay_of_their_own():
     built = model([motion(50), motion(51)])
     parts = [seen(model([m]), truth(model([m])), 52 + k, pieces=10)[0] for k, m in enumerate(built.motions)]
-    both = sightings([(part.piece, part.t, part.uv) for part in parts], 480.0)
+    both = join_landmark_tracks([(part.piece, part.t, part.uv) for part in parts], 480.0)
     assert both.count == 20
     assert (np.bincount(both.log) == [240, 240]).all()
     assert built.of_delays.stop - built.of_delays.start == 2
@@ -175,7 +175,7 @@ def test_more_pairs_of_links_than_can_be_compared_are_refused():
     links = "".join(f'<link name="tip{k}"/>' for k in range(80))
     joint = '<joint name="j{0}" type="revolute"><parent link="palm"/><child link="tip{0}"/><axis xyz="0 0 1"/></joint>'
     text = f'<robot name="hand"><link name="palm"/>{links}{"".join(joint.format(k) for k in range(80))}</robot>'
-    space = Space(urdf.parse(text, "hand.urdf"), tuple(f"j{k}" for k in range(80)), {}, np.radians(5.0))
+    space = Space(urdf.parse_urdf(text, "hand.urdf"), tuple(f"j{k}" for k in range(80)), {}, np.radians(5.0))
     with pytest.raises(ModelError, match=r"hand.urdf: 6561 pairs of links .*, as 80 of its joints move; at most 4096 "):
         list(space.pairs(None, None))
     assert len([pair for some in space.pairs("palm", None) for pair in some]) == 80
@@ -186,7 +186,7 @@ def test_two_logs_find_one_camera_and_a_delay_each():
     delays = [0.02, 0.11]
     ones = [model([one]) for one in built.motions]
     parts = [seen(one, truth(one, delay), 62 + k)[0] for k, (one, delay) in enumerate(zip(ones, delays, strict=True))]
-    both = sightings([(part.piece, part.t, part.uv) for part in parts], 480.0)
+    both = join_landmark_tracks([(part.piece, part.t, part.uv) for part in parts], 480.0)
     start, _ = search_delay(built, built.prior[0].copy(), both.thinned(4))
     np.testing.assert_allclose(start[built.of_delays], delays, atol=0.03)
     chosen = choose_pieces(both, 60)
@@ -203,11 +203,11 @@ def test_belief_of_earlier_logs_is_a_prior():
     phi = truth(built)
     part, body = seen(built, phi, 71, pieces=30)
     mean, std = built.prior
-    same = replace(built, belief=Belief(mean, np.diag(std**2)))
-    few = Landmarks(body, assign(built, phi, part).places)
+    same = replace(built, belief=LandmarkBelief(mean, np.diag(std**2)))
+    few = Landmarks(body, assign_pieces(built, phi, part).places)
     plain, believed = (reduce_normal(one, phi, part, few) for one in (built, same))
     np.testing.assert_allclose(believed.matrix, plain.matrix, rtol=1e-6, atol=1e-6 * np.abs(plain.matrix).max())
     assert believed.cost == pytest.approx(plain.cost)
-    sure = replace(built, belief=Belief(phi, np.diag((1e-4 * std) ** 2)))
-    held, _, _ = adjust(sure, phi, part, few, np.ones(len(phi), bool))
+    sure = replace(built, belief=LandmarkBelief(phi, np.diag((1e-4 * std) ** 2)))
+    held, _, _ = adjust_landmarks(sure, phi, part, few, np.ones(len(phi), bool))
     assert (np.abs(held - phi) < 1e-3 * std).all()

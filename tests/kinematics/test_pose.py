@@ -6,8 +6,8 @@ import pytest
 from bodylog.evaluation import poses as figures
 from bodylog.evaluation.truth import load_poses
 from bodylog.kinematics import urdf
-from bodylog.kinematics.pose import based, posed
-from bodylog.kinematics.rotations import exponential, logarithm, quaternions
+from bodylog.kinematics.pose import find_base, pose_in_base
+from bodylog.kinematics.rotations import rotation_from_vector, vector_from_rotation, quaternions_from_rotations
 from bodylog.types import Poses
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM
@@ -17,9 +17,9 @@ OFFSETS = {"lift": 0.03, "elbow": -0.02}
 
 
 def _posed(rig, theta, q, cov=None, camera=False):
-    base = based(urdf.parse(ARM, "arm"), rig, theta, {})
+    base = find_base(urdf.parse_urdf(ARM, "arm"), rig, theta, {})
     root = np.diag(rig.prior[1]) * 0.01
-    return base, posed(base, rig, theta, root, q, np.zeros((len(q), 4, 4)) if cov is None else cov)
+    return base, pose_in_base(base, rig, theta, root, q, np.zeros((len(q), 4, 4)) if cov is None else cov)
 
 
 @pytest.mark.parametrize("thing", ["point", "board"])
@@ -42,7 +42,7 @@ def test_posed_equals_the_chain_with_sampled_covariance(thing):
             ends = [(q + way, theta) if by is by_joints else (q, theta + way) for way in (step, -step)]
             above, below = (_posed(rig, at, angles)[1] for angles, at in ends)
             by[:, :3, k] = (above[0] - below[0]) / (2 * STEP)
-            turns = [logarithm(a @ b.T) for a, b in zip(above[1], below[1], strict=True)]
+            turns = [vector_from_rotation(a @ b.T) for a, b in zip(above[1], below[1], strict=True)]
             by[:, 3:, k] = np.array(turns) / (2 * STEP)
     unknown = by_theta * rig.prior[1] * 0.01
     expected = by_joints @ cov @ by_joints.transpose(0, 2, 1) + unknown @ unknown.transpose(0, 2, 1)
@@ -52,11 +52,11 @@ def test_posed_equals_the_chain_with_sampled_covariance(thing):
 def test_posed_takes_a_moving_camera_as_the_effector():
     from dataclasses import replace
 
-    from bodylog.kinematics.chain import between
+    from bodylog.kinematics.chain import chain_between
     from bodylog.kinematics.rig import Sight
 
-    robot, rig = urdf.parse(ARM, "arm"), robots.rig()
-    chain = between(robot, "tool", "base").over(robots.JOINTS)
+    robot, rig = urdf.parse_urdf(ARM, "arm"), robots.rig()
+    chain = chain_between(robot, "tool", "base").over(robots.JOINTS)
     swapped = replace(
         rig,
         cameras=(replace(rig.cameras[0], link="tool", anchor=np.eye(4)),),
@@ -64,8 +64,8 @@ def test_posed_takes_a_moving_camera_as_the_effector():
         sights=(Sight("point", 0, 0, chain),),
     )
     theta, q = swapped.prior[0].copy(), robots.angles(4)
-    base = based(robot, swapped, theta, {})
-    place, rotation, _ = posed(base, swapped, theta, np.zeros((len(theta), 1)), q, np.zeros((4, 4, 4)))
+    base = find_base(robot, swapped, theta, {})
+    place, rotation, _ = pose_in_base(base, swapped, theta, np.zeros((len(theta), 1)), q, np.zeros((4, 4, 4)))
     poses = rig.sights[0].chain.at(q)
     assert base.camera
     np.testing.assert_allclose(place, poses.place, atol=1e-12)
@@ -75,8 +75,8 @@ def test_posed_takes_a_moving_camera_as_the_effector():
 def test_quaternions_are_rotations_at_any_angle():
     draw = np.random.default_rng(3)
     vectors = [*draw.normal(size=(40, 3)), np.array([np.pi, 0, 0]), np.array([0, np.pi, 0]), np.array([0, 0, np.pi])]
-    rotations = np.array([exponential(v) for v in vectors])
-    x, y, z, w = quaternions(rotations).T
+    rotations = np.array([rotation_from_vector(v) for v in vectors])
+    x, y, z, w = quaternions_from_rotations(rotations).T
     back = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
                      [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
                      [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])  # fmt: skip
@@ -85,17 +85,17 @@ def test_quaternions_are_rotations_at_any_angle():
 
 def _some(count=400, seed=0, cov=True):
     draw, t = np.random.default_rng(seed), np.arange(count) / 100.0
-    turns = [exponential(np.array([0.3 * np.sin(s), 0.2 * s, 0.1])) for s in t]
-    true = Poses(t, np.column_stack([np.sin(t), np.cos(t), 0.1 * t]), quaternions(np.array(turns)), "base", t)
+    turns = [rotation_from_vector(np.array([0.3 * np.sin(s), 0.2 * s, 0.1])) for s in t]
+    true = Poses(t, np.column_stack([np.sin(t), np.cos(t), 0.1 * t]), quaternions_from_rotations(np.array(turns)), "base", t)
     error = draw.normal(size=(count, 6)) * [0.01, 0.02, 0.01, 0.05, 0.03, 0.04]
-    off = np.array([exponential(e) @ turn for e, turn in zip(error[:, 3:], turns, strict=True)])
+    off = np.array([rotation_from_vector(e) @ turn for e, turn in zip(error[:, 3:], turns, strict=True)])
     spread = np.broadcast_to(np.diag(np.square([0.01, 0.02, 0.01, 0.05, 0.03, 0.04])), (count, 6, 6))
-    return Poses(t, true.place + error[:, :3], quaternions(off), "base", t, spread if cov else None), true
+    return Poses(t, true.place + error[:, :3], quaternions_from_rotations(off), "base", t, spread if cov else None), true
 
 
 def test_true_error_bars_have_a_nees_of_one():
     found, true = _some()
-    values = {score.name: score.value for score in figures.scores(found, true)}
+    values = {score.name: score.value for score in figures.score_poses(found, true)}
     assert values["rmse/effector_position"] == pytest.approx(np.sqrt(6e-4), rel=0.1)
     assert values["rmse/effector_rotation"] == pytest.approx(np.sqrt(5e-3), rel=0.1)
     for part in ("position", "rotation"):
@@ -107,7 +107,7 @@ def test_pose_scores_of_positions_omit_rotations(tmp_path):
     found, true = _some()
     rows = "\n".join(f"{t},{x},{y},{z}" for t, (x, y, z) in zip(true.t, true.place, strict=True))
     (tmp_path / "laser.csv").write_text("t,x,y,z\n" + rows)
-    values = {s.name: s.value for s in figures.scores(found, load_poses(tmp_path / "laser.csv", 0))}
+    values = {s.name: s.value for s in figures.score_poses(found, load_poses(tmp_path / "laser.csv", 0))}
     assert values["nees/effector_position"] == pytest.approx(1.0, abs=0.1) and "rmse/effector_rotation" not in values
     (tmp_path / "joints.csv").write_text("t,pan\n0,1\n")
     assert load_poses(tmp_path / "joints.csv", 0) is None and load_poses(tmp_path / "x.npz", 0) is None
@@ -115,4 +115,4 @@ def test_pose_scores_of_positions_omit_rotations(tmp_path):
 
 def test_disjoint_times_have_no_score():
     found, true = _some()
-    assert figures.scores(found, Poses(true.t + 100.0, true.place, true.turn, "base", true.t)) == ()
+    assert figures.score_poses(found, Poses(true.t + 100.0, true.place, true.turn, "base", true.t)) == ()

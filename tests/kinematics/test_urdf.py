@@ -12,14 +12,14 @@ from tests.kinematics.robots import ARM, MIXED
 
 
 def test_joints_and_links_are_read_with_unit_axes():
-    robot = urdf.parse(ARM, "arm.urdf")
+    robot = urdf.parse_urdf(ARM, "arm.urdf")
     assert robot.root == "base" and robot.by_name["lift"].axis.tolist() == [0.0, 1.0, 0.0]
-    follower = urdf.parse(MIXED, "m.urdf").by_name["follower"].mimic
+    follower = urdf.parse_urdf(MIXED, "m.urdf").by_name["follower"].mimic
     assert follower is not None and (follower.joint, follower.multiplier, follower.offset) == ("turn", -0.5, 0.1)
 
 
 def test_chain_order_follows_the_chain_and_not_the_alphabet():
-    arm = urdf.parse(ARM, "arm.urdf")
+    arm = urdf.parse_urdf(ARM, "arm.urdf")
     order = [name for name in arm.chain_order() if arm.by_name[name].kind in robot_tree.MOVING]
     assert order == ["pan", "lift", "elbow", "wrist"]
     shuffled = replace(arm, joints=arm.joints[::-1])
@@ -52,26 +52,26 @@ LIES = {
 @pytest.mark.parametrize("why", LIES)
 def test_invalid_urdfs_are_refused_in_one_line_that_names_the_file(why):
     with pytest.raises(FormatError) as refused:
-        urdf.parse(LIES[why], "arm.urdf")
+        urdf.parse_urdf(LIES[why], "arm.urdf")
     text = str(refused.value)
     assert text.startswith("arm.urdf: ") and why in text and "\n" not in text
 
 
 def test_implausible_lengths_are_named():
-    assert robot_tree.implausible(urdf.parse(ARM, "arm.urdf")) is None
+    assert robot_tree.reason_implausible(urdf.parse_urdf(ARM, "arm.urdf")) is None
     millimetres = ARM.replace('xyz="0 -0.05 0.4"', 'xyz="0 -50 400"')
-    assert "'elbow' stands 403 m" in str(robot_tree.implausible(urdf.parse(millimetres, "arm.urdf")))
-    robot = urdf.parse(ARM, "arm.urdf")
+    assert "'elbow' stands 403 m" in str(robot_tree.reason_implausible(urdf.parse_urdf(millimetres, "arm.urdf")))
+    robot = urdf.parse_urdf(ARM, "arm.urdf")
     for joint in robot.joints:
         joint.origin[:3, 3] = 0.0
-    assert "no" in str(robot_tree.implausible(robot)) and "origin" in str(robot_tree.implausible(robot))
+    assert "no" in str(robot_tree.reason_implausible(robot)) and "origin" in str(robot_tree.reason_implausible(robot))
 
 
 def test_urdf_names_a_missing_file(tmp_path):
     with pytest.raises(FormatError, match="cannot be read"):
-        urdf.load(tmp_path / "none.urdf")
+        urdf.load_urdf(tmp_path / "none.urdf")
 
 
 def test_parsing_is_deterministic():
-    first, second = (urdf.parse(MIXED, "m") for _ in range(2))
+    first, second = (urdf.parse_urdf(MIXED, "m") for _ in range(2))
     assert all(np.array_equal(a.origin, b.origin) for a, b in zip(first.joints, second.joints, strict=True))

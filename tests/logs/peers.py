@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.formats import open_log, payload_views
 
 Messages = Counter[tuple[str, int, bytes]]
 
@@ -15,7 +15,7 @@ def ours(path: Path) -> Messages:
         names = {topic.id: topic.name for topic in log.topics}
         for batch in log.batches():
             name = names[batch.topic_id]
-            for time, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+            for time, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
                 found[name, time, bytes(payload)] += 1
     return found
 

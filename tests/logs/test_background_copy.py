@@ -16,7 +16,7 @@ from bodylog.annotating import annotate, background_copy
 from bodylog.annotating.background_copy import Copy
 from bodylog.errors import LogError, WriteError
 from bodylog.io import temporary
-from bodylog.io.atomic_files import sha256
+from bodylog.io.atomic_files import hash_files
 
 from .written import outgoing, source
 
@@ -105,7 +105,7 @@ def test_copy_digests_a_folder_file_by_file(tmp_path):
     for name in ("b", "a"):
         (tmp_path / name).write_bytes(os.urandom(3 * PIECE + 7))
     with Copy(tmp_path) as copy:
-        assert copy.digest() == sha256(tmp_path)
+        assert copy.digest() == hash_files(tmp_path)
 
 
 def test_copy_is_ahead_of_the_digest_by_few_pieces(tmp_path, monkeypatch):
@@ -126,10 +126,10 @@ def test_copy_is_ahead_of_the_digest_by_few_pieces(tmp_path, monkeypatch):
 
 def test_annotating_verifies_the_copy_before_the_digest_is_made(tmp_path, log, monkeypatch):
     verified = threading.Event()
-    monkeypatch.setattr(annotate, "verify", lambda *_: verified.set())
+    monkeypatch.setattr(annotate, "verify_message_count", lambda *_: verified.set())
     monkeypatch.setattr(background_copy, "_PIECE", log.stat().st_size)
     digest_after(monkeypatch, verified)
-    annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
+    annotate.annotate_log(log, outgoing(), {}, tmp_path / "out.mcap")
 
 
 def test_copy_stops_after_a_piece(tmp_path, monkeypatch):
@@ -156,7 +156,7 @@ def test_annotating_refuses_a_log_that_changes_size(tmp_path, log, monkeypatch, 
     assert size > 8 * PIECE
     meanwhile(monkeypatch, lambda: os.truncate(log, size + change))
     with pytest.raises(LogError, match=f"had {size} bytes, but {size + change} when .* still being recorded"):
-        annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
+        annotate.annotate_log(log, outgoing(), {}, tmp_path / "out.mcap")
     assert list(tmp_path.iterdir()) == [log]
 
 
@@ -166,17 +166,17 @@ def test_annotating_reports_a_full_disk_and_leaves_nothing(tmp_path, log, monkey
 
     monkeypatch.setattr(background_copy.os, "pwrite", full)
     with pytest.raises(WriteError, match="No space left"):
-        annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
+        annotate.annotate_log(log, outgoing(), {}, tmp_path / "out.mcap")
     assert list(tmp_path.iterdir()) == [log]
 
 
 @pytest.mark.parametrize("first", ["the copy", "the messages"])
 def test_annotating_is_independent_of_call_order(tmp_path, log, monkeypatch, first):
     messages = outgoing()
-    annotate.annotate(log, messages, {"input": sha256(log)}, tmp_path / "plain.mcap")
+    annotate.annotate_log(log, messages, {"input": hash_files(log)}, tmp_path / "plain.mcap")
     if first == "the messages":
         meanwhile(monkeypatch, lambda: time.sleep(0.3))
-    with annotate.annotating(log, tmp_path / "out.mcap") as under_way:
+    with annotate.open_annotation(log, tmp_path / "out.mcap") as under_way:
         if first == "the copy":
             under_way.digest()
         under_way.add(messages)
@@ -187,7 +187,7 @@ def test_annotating_is_independent_of_call_order(tmp_path, log, monkeypatch, fir
 @pytest.mark.parametrize("problem", [LogError("no joints"), KeyboardInterrupt(), MemoryError()])
 def test_annotating_leaves_nothing_after_an_error(tmp_path, log, problem):
     (tmp_path / "out.mcap").write_bytes(b"of an earlier run")
-    with pytest.raises(type(problem)), annotate.annotating(log, tmp_path / "out.mcap") as under_way:
+    with pytest.raises(type(problem)), annotate.open_annotation(log, tmp_path / "out.mcap") as under_way:
         assert len(list(tmp_path.iterdir())) == 3
         under_way.add(outgoing())
         raise problem
@@ -195,14 +195,14 @@ def test_annotating_leaves_nothing_after_an_error(tmp_path, log, problem):
     assert (tmp_path / "out.mcap").read_bytes() == b"of an earlier run"
 
 
-@pytest.mark.parametrize(("kernel", "age"), [(temporary.machine(), 0.0), ("0" * 8, 2 * temporary.FOREIGN_S)])
+@pytest.mark.parametrize(("kernel", "age"), [(temporary.machine_id(), 0.0), ("0" * 8, 2 * temporary.FOREIGN_S)])
 def test_annotating_removes_left_overs_of_a_killed_run(tmp_path, log, kernel, age):
-    annotate.annotate(log, outgoing(), {}, tmp_path / "plain.mcap")
+    annotate.annotate_log(log, outgoing(), {}, tmp_path / "plain.mcap")
     stale = tmp_path / f".{kernel}-{'a' * 16}{temporary.PART}"
     stale.write_bytes(bytes(2 * log.stat().st_size))
     stale.chmod(0o400)
     os.utime(stale, (time.time() - age,) * 2)
-    annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
+    annotate.annotate_log(log, outgoing(), {}, tmp_path / "out.mcap")
     assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "plain.mcap").read_bytes() and not stale.exists()
 
 
@@ -210,7 +210,7 @@ def test_annotating_removes_left_overs_of_a_killed_run(tmp_path, log, kernel, ag
 def test_annotating_replaces_nothing_when_unfinished(tmp_path, log, done):
     with (
         pytest.raises(LogError, match="not written correctly"),
-        annotate.annotating(log, tmp_path / "out.mcap") as under_way,
+        annotate.open_annotation(log, tmp_path / "out.mcap") as under_way,
     ):
         if done != "nothing":
             under_way.add(outgoing())
@@ -235,7 +235,7 @@ def test_copy_shares_blocks_where_possible(log, tmp_path, monkeypatch):
     out, end = tmp_path / "out.mcap", log.stat().st_size - 5
     out.touch()
     with Copy(log, out, end) as copy:
-        assert copy.digest() == sha256(log)
+        assert copy.digest() == hash_files(log)
     assert out.read_bytes() == log.read_bytes()[:end]
     assert asked == [(background_copy._FICLONERANGE, 0, end // 4096 * 4096, 0)]
     assert sum(written) == end % 4096

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bodylog.logs.decode import batch_decoders
-from bodylog.logs.decode.columns import columns
+from bodylog.logs.decode.columns import read_topic_columns
 
 from .test_columns import Messages
 from .test_dynamic import STATE, topic
@@ -22,14 +22,14 @@ FIELDS = ("header.stamp", "header.frame_id", "name", "position", "position[1]", 
 def column_by_column(messages, of, fields):
     found = {}
     for field in fields:
-        got = columns(Messages(messages, 500), of, (field,))
+        got = read_topic_columns(Messages(messages, 500), of, (field,))
         values = got.column(field)
         found[field] = (got.sound.tolist(), values.dtype.kind, values.tolist(), dict(got.rejected))
     return found
 
 
 def assert_the_same(messages, of, fields, monkeypatch, least=0):
-    fast = columns(Messages(messages, 500), of, (fields[0],)).fast
+    fast = read_topic_columns(Messages(messages, 500), of, (fields[0],)).fast
     together = column_by_column(messages, of, fields)
     with monkeypatch.context() as slowly:
         slowly.setattr(batch_decoders, "_FEW", 1 << 60)
@@ -157,6 +157,6 @@ def test_protobuf_decoder_equals_single_decoding(seed, monkeypatch):
 
 def test_decoders_read_equal_layouts_together():
     some = [json.dumps({"q": [k / 7, -k / 3e7], "t": "x"}).encode() for k in range(1, 200)]
-    got = columns(Messages(some, 500), JSON, ("q",))
+    got = read_topic_columns(Messages(some, 500), JSON, ("q",))
     assert (got.fast, got.fallback) == (199, 0)
     assert np.array_equal(got.column("q"), [[k / 7, -k / 3e7] for k in range(1, 200)])

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import FormatError
-from bodylog.logs.decode.ros1_to_cdr import converter
+from bodylog.logs.decode.ros1_to_cdr import make_cdr_converter
 from bodylog.types import Topic
 
 from .test_transcode import CUSTOM, KINDS, ros1_store, values
@@ -21,14 +21,14 @@ def messages(i, count, seed):
 
 @pytest.mark.parametrize("i", range(8))
 def test_convert_same_layout_equals_single_conversion(i):
-    convert, _ = converter(CUSTOM_TOPIC)
+    convert, _ = make_cdr_converter(CUSTOM_TOPIC)
     rows = messages(i, 20, 100 * i)
     same, out = convert.convert_same_layout(rows)
     assert same.all() and [row.tobytes() for row in out] == [bytes(convert(memoryview(row.tobytes()))) for row in rows]
 
 
 def test_convert_same_layout_skips_other_layouts():
-    convert, _ = converter(CUSTOM_TOPIC)
+    convert, _ = make_cdr_converter(CUSTOM_TOPIC)
     rows = messages(6, 20, 0)
     other = rows.copy()
     text = rows[0].tobytes().index(b"j0")
@@ -39,7 +39,7 @@ def test_convert_same_layout_skips_other_layouts():
 
 
 def test_convert_same_layout_ignores_sequence_numbers():
-    convert, _ = converter(CUSTOM_TOPIC)
+    convert, _ = make_cdr_converter(CUSTOM_TOPIC)
     rows = messages(3, 5, 0)
     rows[:, :4] = np.arange(20).reshape(5, 4)
     assert convert.convert_same_layout(rows)[0].all()
@@ -47,6 +47,6 @@ def test_convert_same_layout_ignores_sequence_numbers():
 
 @pytest.mark.parametrize("damage", [lambda r: r[:, :-1], lambda r: np.where(np.arange(r.shape[1]) == 13, 255, r)])
 def test_convert_same_layout_refuses_a_broken_first_row(damage):
-    convert, _ = converter(CUSTOM_TOPIC)
+    convert, _ = make_cdr_converter(CUSTOM_TOPIC)
     with pytest.raises(FormatError):
         convert.convert_same_layout(np.ascontiguousarray(damage(messages(2, 3, 0))).astype(np.uint8))

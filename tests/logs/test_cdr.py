@@ -45,7 +45,7 @@ def test_serialise_equals_rosbags(kinds, seed, width, texts):
             fields.append((kind, column(rng, kind, count, size)))
         else:
             fields.append((kind, tuple(texts) if kind == "string[]" else "".join(texts)))
-    ours = cdr.serialise(count, fields)
+    ours = cdr.serialise_messages(count, fields)
     for i in range(count):
         values = [v[i] if isinstance(v, np.ndarray) else list(v) if isinstance(v, tuple) else v for _, v in fields]
         theirs = store.serialize_cdr(store.types["some_msgs/msg/Some"](*values), "some_msgs/msg/Some")
@@ -53,20 +53,20 @@ def test_serialise_equals_rosbags(kinds, seed, width, texts):
 
 
 def test_merge_keeps_message_order():
-    odd = cdr.serialise(2, [("uint8", np.array([1, 3]))])
-    even = cdr.serialise(2, [("uint32", np.array([0, 2]))])
-    merged = cdr.merge([(np.array([1, 3]), odd), (np.array([0, 2]), even)], 4)
+    odd = cdr.serialise_messages(2, [("uint8", np.array([1, 3]))])
+    even = cdr.serialise_messages(2, [("uint32", np.array([0, 2]))])
+    merged = cdr.merge_payloads([(np.array([1, 3]), odd), (np.array([0, 2]), even)], 4)
     payloads = [merged.data[o : o + n].tobytes()[4:] for o, n in zip(merged.offset, merged.length, strict=True)]
     assert payloads == [b"\0\0\0\0", b"\1", b"\2\0\0\0", b"\3"]
 
 
 @pytest.mark.parametrize("ns", [0, 999_999_999, 1_700_000_000_000_000_001, 2**31 * 10**9 - 1])
 def test_time_splits_seconds_and_nanoseconds(ns):
-    payload = cdr.serialise(1, cdr.time(np.array([ns]))).data[4:].tobytes()
+    payload = cdr.serialise_messages(1, cdr.cdr_time_field(np.array([ns]))).data[4:].tobytes()
     assert int.from_bytes(payload[:4], "little") * 10**9 + int.from_bytes(payload[4:], "little") == ns
 
 
 def test_serialise_writes_a_signalling_nan_without_warning():
     signalling = np.array([0x7FF0000000000001], np.uint64).view(np.float64)
-    made = cdr.serialise(1, [("float32", signalling)])
+    made = cdr.serialise_messages(1, [("float32", signalling)])
     assert np.isnan(made.data[-4:].view(np.float32)[0])

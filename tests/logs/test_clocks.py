@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bodylog.recording.clocks import is_sound, largest_gap, order_by_time, repeats, seconds
+from bodylog.recording.clocks import is_sound, largest_gap, order_by_time, repeats_earlier_times, seconds_since
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -112,7 +112,7 @@ def test_order_by_time_accepts_no_messages():
 
 def test_seconds_keep_nanoseconds():
     t = T0 + np.array([0, 1, 123_456_789])
-    np.testing.assert_array_equal(seconds(t, T0), [0.0, 1e-9, 0.123456789])
+    np.testing.assert_array_equal(seconds_since(t, T0), [0.0, 1e-9, 0.123456789])
 
 
 def test_largest_gap_is_the_longest_step():
@@ -185,4 +185,4 @@ def test_falls_detects_reversed_files():
 
 
 def test_repeats_is_empty_for_a_constant_clock():
-    assert not repeats(np.array([T0] * 99 + [T0 - 10_000 * MS])).any()
+    assert not repeats_earlier_times(np.array([T0] * 99 + [T0 - 10_000 * MS])).any()

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bodylog.errors import ConfigError, FormatError
-from bodylog.logs.decode.columns import columns
-from bodylog.logs.decode.parts import Columns
+from bodylog.logs.decode.columns import read_topic_columns
+from bodylog.logs.decode.parts import TopicColumns
 from bodylog.types import Batch, Topic
 
 from .writing import T0, joint_state
@@ -163,7 +163,7 @@ def expected(held: Any, path: str) -> list[Any]:
     return [x for item in items for x in expected(item, rest)]
 
 
-def check(found: Columns, messages: list[dict[str, Any]], fields: list[str]) -> None:
+def check(found: TopicColumns, messages: list[dict[str, Any]], fields: list[str]) -> None:
     assert not found.rejected
     np.testing.assert_array_equal(found.sound, np.arange(len(messages)))
     for part in found.parts:
@@ -186,7 +186,7 @@ def test_columns_equal_rosbags_for_any_definition(kind: str, data: st.DataObject
     types, messages = data.draw(cases(kind == "ros1"))
     payloads = encode(types, messages, kind)
     fields = paths(types)
-    found = columns(Messages(payloads), topic(text_of(types), "ros1" if kind == "ros1" else "cdr"), fields)
+    found = read_topic_columns(Messages(payloads), topic(text_of(types), "ros1" if kind == "ros1" else "cdr"), fields)
     assert found.fast + found.fallback == len(messages)
     check(found, messages, fields)
 
@@ -196,7 +196,7 @@ def test_columns_equal_rosbags_for_any_definition(kind: str, data: st.DataObject
 def test_columns_of_one_field_equal_those_of_all(data: st.DataObject) -> None:
     types, messages = data.draw(cases(False))
     field = data.draw(st.sampled_from(paths(types)))
-    check(columns(Messages(encode(types, messages, "little")), topic(text_of(types)), [field]), messages, [field])
+    check(read_topic_columns(Messages(encode(types, messages, "little")), topic(text_of(types)), [field]), messages, [field])
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -211,7 +211,7 @@ def test_columns_count_damaged_payloads(data: st.DataObject) -> None:
     for where, bits in flips if broken else ():
         broken[where % len(broken)] ^= bits
     payloads[place] = bytes(broken)
-    found = columns(Messages(payloads), topic(text_of(types)), paths(types))
+    found = read_topic_columns(Messages(payloads), topic(text_of(types)), paths(types))
     assert len(found.sound) + sum(found.rejected.values()) == len(messages)
 
 
@@ -239,7 +239,7 @@ def joint_topic(encoding: str = "cdr") -> Topic:
 def test_columns_accept_trailing_bytes_and_empty_velocities():
     plain = joint_state(T0, ("a", "b"), (1.0, 2.0))
     payloads = [plain, plain + bytes(8), joint_state(T0, ("a", "b"), (3.0, 4.0), (np.nan, np.nan))]
-    found = columns(Messages(payloads), joint_topic(), JOINT_FIELDS)
+    found = read_topic_columns(Messages(payloads), joint_topic(), JOINT_FIELDS)
     assert (found.fast, found.fallback, dict(found.rejected)) == (3, 0, {})
     np.testing.assert_array_equal(found.column("position"), [[1, 2], [1, 2], [3, 4]])
 
@@ -252,7 +252,7 @@ def test_columns_separate_layouts_of_equal_length():
         joint_state(T0 + 3, ("aa", "bb"), (7.0, 8.0)),
     ]
     assert len({len(payload) for payload in payloads}) == 1
-    found = columns(Messages(payloads), joint_topic(), JOINT_FIELDS)
+    found = read_topic_columns(Messages(payloads), joint_topic(), JOINT_FIELDS)
     assert found.fast == 4
     assert {part.values[1]: part.rows.tolist() for part in found.parts} == {
         ("aa", "bb"): [0, 3],
@@ -267,20 +267,20 @@ def test_columns_ignore_padding():
     place = first.index(b"base\0") + 5
     assert first[place : place + 3] == b"\0\0\0"
     second[place : place + 3] = b"\7\7\7"
-    found = columns(Messages([bytes(first), bytes(second)]), joint_topic(), JOINT_FIELDS)
+    found = read_topic_columns(Messages([bytes(first), bytes(second)]), joint_topic(), JOINT_FIELDS)
     assert (found.fast, len(found.parts)) == (2, 1)
 
 
 def test_columns_fall_back_beyond_the_known_layouts():
     payloads = [joint_state(T0 + n, (f"joint{'x' * (n % 20)}",), (float(n),)) for n in range(60)]
-    found = columns(Messages(payloads, 60), joint_topic(), JOINT_FIELDS)
+    found = read_topic_columns(Messages(payloads, 60), joint_topic(), JOINT_FIELDS)
     assert (found.fast, found.fallback) == (24, 36)
     np.testing.assert_array_equal(found.column("position")[:, 0], np.arange(60.0))
 
 
 def test_columns_keep_file_order_of_variable_arrays():
     payloads = [joint_state(T0 + n, ("a", "b")[: 1 + n % 2], (1.0 * n, -1.0)[: 1 + n % 2]) for n in range(6)]
-    got = columns(Messages(payloads), joint_topic(), ("position",)).column("position")
+    got = read_topic_columns(Messages(payloads), joint_topic(), ("position",)).column("position")
     np.testing.assert_array_equal(got[:, 0], np.arange(6.0))
     np.testing.assert_array_equal(np.isnan(got[:, 1]), np.arange(6) % 2 == 0)
 
@@ -294,7 +294,7 @@ def test_columns_refuse_a_wrong_length_before_allocation(count):
         place -= 4
     payload[place : place + 4] = struct.pack("<I", count)
     tracemalloc.start()
-    found = columns(Messages([bytes(payload), joint_state(T0, ("a",), (1.0,))]), joint_topic(), JOINT_FIELDS)
+    found = read_topic_columns(Messages([bytes(payload), joint_state(T0, ("a",), (1.0,))]), joint_topic(), JOINT_FIELDS)
     assert tracemalloc.get_traced_memory()[1] < 1 << 20
     tracemalloc.stop()
     assert dict(found.rejected) == {"malformed": 1}
@@ -304,7 +304,7 @@ def test_columns_refuse_a_wrong_length_before_allocation(count):
 def test_columns_bound_memory_of_long_messages():
     payload = b"\0\1\0\0" + struct.pack("<I", 1 << 20) + bytes(1 << 20)
     tracemalloc.start()
-    found = columns(Messages([payload]), topic("uint8[] x"), ("x",))
+    found = read_topic_columns(Messages([payload]), topic("uint8[] x"), ("x",))
     assert tracemalloc.get_traced_memory()[1] < 64 << 20
     tracemalloc.stop()
     assert found.parts[0].values[0].shape == (1, 1 << 20)
@@ -313,7 +313,7 @@ def test_columns_bound_memory_of_long_messages():
 @pytest.mark.parametrize("text", ["float64[2000000000] x", "Inner[2000000000] x\n===\nMSG: test_msgs/Inner\nfloat64 a"])
 def test_columns_refuse_huge_fixed_sizes_quickly(text):
     tracemalloc.start()
-    found = columns(Messages([bytes(64)]), topic(text), ("x" if "Inner" not in text else "x[:].a",))
+    found = read_topic_columns(Messages([bytes(64)]), topic(text), ("x" if "Inner" not in text else "x[:].a",))
     assert tracemalloc.get_traced_memory()[1] < 1 << 20
     tracemalloc.stop()
     assert dict(found.rejected) == {"malformed": 1}
@@ -321,7 +321,7 @@ def test_columns_refuse_huge_fixed_sizes_quickly(text):
 
 def test_columns_skip_empty_structs():
     text = "Inner[2000000000] x\nuint8 y\n=====\nMSG: test_msgs/Inner\n"
-    found = columns(Messages([b"\7"]), topic(text, "ros1"), ("y",))
+    found = read_topic_columns(Messages([b"\7"]), topic(text, "ros1"), ("y",))
     assert found.column("y").tolist() == [7]
 
 
@@ -329,14 +329,14 @@ def test_columns_detect_ros1_labelled_cdr():
     types = {ROOT: (Member("f0", "uint32", ""), Member("f1", "string", ""), Member("f2", "float64", "[]"))}
     types |= {LEAF: (Member("f0", "bool", ""),), INNER: (Member("f0", "bool", ""),)}
     messages = [{"f0": n, "f1": "abc", "f2": [0.5 * n, 1.5]} for n in range(5)]
-    found = columns(Messages(encode(types, messages, "ros1")), topic(text_of(types), "cdr"), paths(types))
+    found = read_topic_columns(Messages(encode(types, messages, "ros1")), topic(text_of(types), "cdr"), paths(types))
     check(found, messages, paths(types))
 
 
 def test_columns_read_skin_cells_as_one_array():
     payloads = [_skin(cells=117, message=n) for n in range(9)]
     fields = ("data[:].prox[0]", "data[:].cellId", "data[:]{cellId==3}.ts")
-    found = columns(Messages(payloads), topic(SKIN, "ros1"), fields)
+    found = read_topic_columns(Messages(payloads), topic(SKIN, "ros1"), fields)
     assert (found.fast, len(found.parts)) == (9, 1)
     want = np.arange(117) / 256 + np.arange(9)[:, None]
     np.testing.assert_array_equal(found.column("data[:].prox[0]"), want)
@@ -353,7 +353,7 @@ def _skin(cells: int, message: int, silent: int = -1) -> bytes:
 
 
 def test_columns_give_nan_for_a_missing_cell():
-    found = columns(Messages([_skin(4, 0, silent=1)]), topic(SKIN, "ros1"), ("data[:].prox[0]",))
+    found = read_topic_columns(Messages([_skin(4, 0, silent=1)]), topic(SKIN, "ros1"), ("data[:].prox[0]",))
     np.testing.assert_array_equal(found.column("data[:].prox[0]"), [[0, np.nan, 2 / 256, 3 / 256]])
 
 
@@ -368,12 +368,12 @@ def test_columns_skip_long_arrays_of_fixed_structs(size, inner):
     }
     leaf = {f"f{n}": (5, 6) if "/" in kind else n for n, kind in enumerate(inner)}
     message = {"f0": [{"f0": leaf, "f1": [1, 2]}] * size, "f1": 9.5}
-    found = columns(Messages(encode(types, [message], "little")), topic(text_of(types)), ("f1",))
+    found = read_topic_columns(Messages(encode(types, [message], "little")), topic(text_of(types)), ("f1",))
     assert found.column("f1").tolist() == [9.5]
 
 
 def test_columns_reject_unknown_encapsulation():
-    found = columns(Messages([b"\0\3\0\0" + bytes(60)]), joint_topic(), JOINT_FIELDS)
+    found = read_topic_columns(Messages([b"\0\3\0\0" + bytes(60)]), joint_topic(), JOINT_FIELDS)
     assert dict(found.rejected) == {"malformed": 1}
 
 
@@ -388,25 +388,25 @@ def test_columns_reject_unknown_encapsulation():
 )
 def test_columns_list_fields_for_a_missing_one(path, says):
     with pytest.raises(ConfigError, match=says):
-        columns(Messages([]), joint_topic(), (path,))
+        read_topic_columns(Messages([]), joint_topic(), (path,))
 
 
 def test_decoder_lists_encodings_for_an_unknown_one():
     with pytest.raises(FormatError, match="/x: the messages are 'wrong_format'; known are cdr, ros1, json, protobuf"):
-        columns(Messages([]), topic("bool x", "wrong_format"), ("x",))
+        read_topic_columns(Messages([]), topic("bool x", "wrong_format"), ("x",))
     with pytest.raises(FormatError, match="/x: the definition is 'flatbuffer'; known are ros2msg"):
-        columns(Messages([]), replace(topic("bool x"), definition_encoding="flatbuffer"), ("x",))
+        read_topic_columns(Messages([]), replace(topic("bool x"), definition_encoding="flatbuffer"), ("x",))
 
 
 def test_decoder_names_the_topic_of_a_broken_definition():
     with pytest.raises(FormatError, match=r"^/x: test_msgs/msg/Root: cannot read"):
-        columns(Messages([]), topic("}{"), ("x",))
+        read_topic_columns(Messages([]), topic("}{"), ("x",))
 
 
 def test_columns_read_json_messages():
     stamps = [{"stamp": {"sec": 5, "nsec": n}} for n in range(3)]
     payloads = [json.dumps({"header": stamps[n], "q": [1.0 * n, 2], "name": "left"}).encode() for n in range(3)]
-    found = columns(Messages([*payloads, b"{", b"[]", b"{}"]), topic("{}", "json"), ("header.stamp", "q", "name"))
+    found = read_topic_columns(Messages([*payloads, b"{", b"[]", b"{}"]), topic("{}", "json"), ("header.stamp", "q", "name"))
     assert found.column("header.stamp").tolist() == [5 * 10**9 + n for n in range(3)]
     np.testing.assert_array_equal(found.column("q"), [[0, 2], [1, 2], [2, 2]])
     assert (found.fast, found.fallback) == (3, 0)
@@ -418,7 +418,7 @@ def test_columns_reject_a_truncated_message_in_a_batch(batch):
     payloads = [joint_state(T0 + n, ("a", "b"), (1.0, 2.0)) for n in range(3)]
     place = payloads[1].index(struct.pack("<d", 2.0))
     payloads[1] = payloads[1][: place + 4]
-    found = columns(Messages(payloads, batch), joint_topic(), JOINT_FIELDS)
+    found = read_topic_columns(Messages(payloads, batch), joint_topic(), JOINT_FIELDS)
     assert (found.sound.tolist(), dict(found.rejected)) == ([0, 2], {"malformed": 1})
 
 
@@ -437,7 +437,7 @@ def test_widened_finds_character_size_from_message_length(size):
     """The first message has no text, so it does not determine the size."""
     some = [("", 1.5), ("\N{GREEK SMALL LETTER ALPHA}bcdefghi", 2.5), ("jk", 3.5), ("lmnopq", 4.5)]
     log = Messages([_wide(text, size, x) for text, x in some])
-    found = columns(log, topic("wstring y\nfloat64 x"), ("y", "x"))
+    found = read_topic_columns(log, topic("wstring y\nfloat64 x"), ("y", "x"))
     assert found.column("x").tolist() == [1.5, 2.5, 3.5, 4.5] and not found.rejected
     assert found.column("y").ravel().tolist() == [text for text, _ in some]
 
@@ -445,13 +445,13 @@ def test_widened_finds_character_size_from_message_length(size):
 def test_columns_reject_only_text_of_unknown_width():
     """Three characters of unknown size, and at least four bytes left over."""
     log, wide = Messages([b"\0\1\0\0" + struct.pack("<dI10s", 2.5, 3, b"a\0b\0c")]), topic("float64 x\nwstring y")
-    assert columns(log, wide, ("x",)).column("x").tolist() == [2.5]
-    assert dict(columns(log, wide, ("y",)).rejected) == {"malformed": 1}
+    assert read_topic_columns(log, wide, ("x",)).column("x").tolist() == [2.5]
+    assert dict(read_topic_columns(log, wide, ("y",)).rejected) == {"malformed": 1}
 
 
 @pytest.mark.parametrize("odd", [0, 511, 512, 700, 1199])
 def test_columns_find_one_odd_message_in_a_large_batch(odd):
     payloads = [joint_state(T0 + n, ("aa", "bb") if n != odd else ("bb", "aa"), (1.0 * n, 0.5)) for n in range(1200)]
-    found = columns(Messages(payloads, 1200), joint_topic(), JOINT_FIELDS)
+    found = read_topic_columns(Messages(payloads, 1200), joint_topic(), JOINT_FIELDS)
     assert {part.values[1]: len(part.rows) for part in found.parts} == {("aa", "bb"): 1199, ("bb", "aa"): 1}
     np.testing.assert_array_equal(found.column("position")[:, 0], np.arange(1200))

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from isal.isal_zlib import crc32
 
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.formats import open_log, payload_views
 from bodylog.logs.mcap import opcodes as op
 from bodylog.logs.mcap.chunks import chunk_head
-from bodylog.logs.mcap.records import FIELDS, HEAD, MAGIC, Record, iter_records, parse
+from bodylog.logs.mcap.records import FIELDS, HEAD, MAGIC, Record, iter_records, parse_record
 from bodylog.logs.storage.compression import Buffer
 
 FOLDER = Path(__file__).parents[2].parent / "shared" / "logs" / "foxglove__mcap"
@@ -46,9 +46,9 @@ def every_record(data: memoryview) -> Iterator[Record]:
             content = buffer.load(compression, packed, size).data
             assert not crc or crc32(content) == crc
             for inner, start, length in iter_records(content, 0, len(content)):
-                yield parse(inner, content[start : start + length], start - HEAD.size)
+                yield parse_record(inner, content[start : start + length], start - HEAD.size)
         elif opcode in FIELDS:
-            yield parse(opcode, data[at : at + length], at - HEAD.size)
+            yield parse_record(opcode, data[at : at + length], at - HEAD.size)
 
 
 def test_conformance_files_are_complete() -> None:
@@ -66,7 +66,7 @@ def test_records_equal_the_conformance_json(path: Path) -> None:
 def test_open_reads_conformance_files_without_findings(path: Path) -> None:
     declared = [dict(record["fields"]) for record in expected(path) if record["type"] == "Message"]
     with open_log(path, strict=True) as log:
-        batches = [(batch.log_ns.tolist(), [bytes(part) for part in payloads(batch)]) for batch in log.batches()]
+        batches = [(batch.log_ns.tolist(), [bytes(part) for part in payload_views(batch)]) for batch in log.batches()]
         assert log.findings == ()
         assert sum(topic.messages for topic in log.topics) == len(declared)
         times = sorted(int(message["log_time"]) for message in declared)

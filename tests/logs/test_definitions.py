@@ -4,7 +4,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from bodylog.errors import FormatError
-from bodylog.logs.decode.definitions import Field, parse
+from bodylog.logs.decode.definitions import Field, parse_definition
 from tests.work import at_most
 
 TUM = b"""SkinCellData[] data
@@ -18,7 +18,7 @@ float32[] force
 
 
 def fields(text: str, encoding: str = "ros2msg") -> tuple[Field, ...]:
-    return parse(text.encode(), "p/msg/T", encoding).types["p/msg/T"]
+    return parse_definition(text.encode(), "p/msg/T", encoding).types["p/msg/T"]
 
 
 def test_parse_reads_every_kind_of_line():
@@ -62,25 +62,25 @@ def test_parse_reads_ros1_spellings():
 
 
 def test_parse_gives_only_ros1_headers_a_sequence_number():
-    ros1 = parse(b"Header header\n", "p/msg/T", "ros1msg").types["std_msgs/msg/Header"]
-    ros2 = parse(b"std_msgs/Header header\n", "p/msg/T", "ros2msg").types["std_msgs/msg/Header"]
+    ros1 = parse_definition(b"Header header\n", "p/msg/T", "ros1msg").types["std_msgs/msg/Header"]
+    ros2 = parse_definition(b"std_msgs/Header header\n", "p/msg/T", "ros2msg").types["std_msgs/msg/Header"]
     assert [f.name for f in ros1] == ["seq", "stamp", "frame_id"]
     assert [f.name for f in ros2] == ["stamp", "frame_id"]
 
 
 def test_parse_resolves_types_of_the_same_package():
-    found = parse(TUM, "tum_ics_skin_msgs/msg/SkinCellDataArray", "ros1msg")
+    found = parse_definition(TUM, "tum_ics_skin_msgs/msg/SkinCellDataArray", "ros1msg")
     assert found.types[found.root] == (Field("data", "tum_ics_skin_msgs/msg/SkinCellData", -1),)
 
 
 def test_parse_looks_up_standard_types():
-    found = parse(b"", "sensor_msgs/msg/JointState", "ros2msg")
+    found = parse_definition(b"", "sensor_msgs/msg/JointState", "ros2msg")
     assert [f.name for f in found.types[found.root]] == ["header", "name", "position", "velocity", "effort"]
 
 
 def test_parse_gives_empty_ros2_messages_a_byte():
-    assert len(parse(b"", "std_msgs/msg/Empty", "ros2msg").types["std_msgs/msg/Empty"]) == 1
-    assert parse(b"", "std_msgs/msg/Empty", "ros1msg").types["std_msgs/msg/Empty"] == ()
+    assert len(parse_definition(b"", "std_msgs/msg/Empty", "ros2msg").types["std_msgs/msg/Empty"]) == 1
+    assert parse_definition(b"", "std_msgs/msg/Empty", "ros1msg").types["std_msgs/msg/Empty"] == ()
 
 
 def test_parse_reads_idl():
@@ -98,7 +98,7 @@ module p { module msg {
 IDL: p/msg/Inner
 module p { module msg { struct Inner { boolean ok; octet raw; }; }; };
 """
-    found = parse(text.encode(), "p/msg/T", "ros2idl")
+    found = parse_definition(text.encode(), "p/msg/T", "ros2idl")
     sizes = [(f.name, f.type, f.size) for f in found.types["p/msg/T"]]
     assert sizes == [
         ("count", "int32", None),
@@ -130,14 +130,14 @@ def test_parse_names_what_it_cannot_read(text, says):
 
 def test_parse_refuses_bytes_that_are_not_text():
     with pytest.raises(FormatError, match="not text"):
-        parse(b"\xff\xfe\x00", "p/msg/T", "ros2msg")
+        parse_definition(b"\xff\xfe\x00", "p/msg/T", "ros2msg")
 
 
 def test_parse_is_fast_for_doubling_definitions():
     levels = [f"MSG: p/L{n}\nL{n + 1} a\nL{n + 1} b\n" for n in range(40)]
     text = ("=" * 9 + "\n").join(["L0 x\n", *levels, "MSG: p/L40\n"])
     with at_most(calls=50_000):
-        assert len(parse(text.encode(), "p/msg/T", "ros1msg").types) == 42
+        assert len(parse_definition(text.encode(), "p/msg/T", "ros1msg").types) == 42
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -148,7 +148,7 @@ def test_parse_agrees_with_rosbags_on_standard_types(version):
         if name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"):
             continue
         text = store.generate_msgdef(name, ros_version=version)[0]
-        found = parse(text.encode(), name, dialect)
+        found = parse_definition(text.encode(), name, dialect)
         dummy = "structure_needs_at_least_one_member"
         labels = [label for label, _ in store.fielddefs[name][1] if version == 2 or label != dummy]
         assert [f.name for f in found.types[name]] == labels, name

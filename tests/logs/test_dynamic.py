@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bodylog.errors import FormatError
-from bodylog.logs.decode.columns import columns
+from bodylog.logs.decode.columns import read_topic_columns
 from bodylog.recording.stamp_field import stamp_field
 from bodylog.types import Topic
 
@@ -56,7 +56,7 @@ def test_reader_reads_every_protobuf_kind():
         "timestamp", "joints[:].angle", "joints[:].name", "temperature", "offset", "level", "packed_values", "counts",
         "label", "wide", "joints[:]{name==\"b\"}.angle", "joints[-1].angle",
     )  # fmt: skip
-    got = columns(Messages([state(n) for n in range(3)]), STATE, fields)
+    got = read_topic_columns(Messages([state(n) for n in range(3)]), STATE, fields)
     assert (got.fallback, dict(got.rejected)) == (3, {})
     assert got.column("timestamp").tolist() == [5 * 10**9 + n for n in range(3)]
     assert got.column("joints[:].angle").tolist() == [[n, n + 1] for n in range(3)]
@@ -72,9 +72,9 @@ def test_reader_reads_every_protobuf_kind():
 
 
 def test_reader_gives_defaults_for_absent_protobuf_numbers():
-    got = columns(Messages([b""]), STATE, ("temperature", "label"))
+    got = read_topic_columns(Messages([b""]), STATE, ("temperature", "label"))
     assert (got.column("temperature").tolist(), got.parts[0].values[1]) == ([0], ("",))
-    got = columns(Messages([b""]), STATE, ("timestamp.seconds",))
+    got = read_topic_columns(Messages([b""]), STATE, ("timestamp.seconds",))
     assert dict(got.rejected) == {"field missing": 1}
 
 
@@ -88,7 +88,7 @@ def test_reader_gives_defaults_for_absent_protobuf_numbers():
 )
 def test_reader_refuses_broken_schemas(definition, type_, says):
     with pytest.raises(FormatError, match=says):
-        columns(Messages([]), topic(definition, "protobuf", type_), ("label",))
+        read_topic_columns(Messages([]), topic(definition, "protobuf", type_), ("label",))
 
 
 def test_stamp_field_reads_schemas():
@@ -107,18 +107,18 @@ def test_columns_count_damaged_protobuf(flips, cut):
     broken = bytearray(state(3)[:cut])
     for where, bits in flips if broken else ():
         broken[where % len(broken)] ^= bits
-    got = columns(Messages([bytes(broken)]), STATE, ("timestamp", "joints[:].angle", "counts", "label"))
+    got = read_topic_columns(Messages([bytes(broken)]), STATE, ("timestamp", "joints[:].angle", "counts", "label"))
     assert len(got.sound) + sum(got.rejected.values()) == 1
 
 
 def test_columns_reject_deeply_nested_json():
     deep = b'{"q": ' + b"[" * 900 + b"]" * 900 + b"}"
-    got = columns(Messages([deep, b'{"q": [1]}']), topic(b"", "json", "x"), ("q",))
+    got = read_topic_columns(Messages([deep, b'{"q": [1]}']), topic(b"", "json", "x"), ("q",))
     assert len(got.sound) + sum(got.rejected.values()) == 2
 
 
 def test_columns_turn_huge_integers_into_floats():
-    got = columns(Messages([b'{"q": [1, 1000000000000000000000]}']), topic(b"", "json", "x"), ("q",))
+    got = read_topic_columns(Messages([b'{"q": [1, 1000000000000000000000]}']), topic(b"", "json", "x"), ("q",))
     assert got.column("q").tolist() == [[1, 1e21]]
 
 
@@ -129,6 +129,6 @@ def test_columns_turn_huge_integers_into_floats():
     max_leaves=12,
 ))  # fmt: skip
 def test_columns_survive_any_json(payload):
-    got = columns(Messages([json.dumps(payload).encode()]), topic(b"", "json", "x"), ("header.stamp", "q", "q[0]"))
+    got = read_topic_columns(Messages([json.dumps(payload).encode()]), topic(b"", "json", "x"), ("header.stamp", "q", "q[0]"))
     assert len(got.sound) + sum(got.rejected.values()) == 1
     np.testing.assert_array_equal(got.sound, np.arange(len(got.sound)))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import LogError, UsageError
-from bodylog.logs.conversion.examination import examine, repair
+from bodylog.logs.conversion.examination import examine_log_file, rewrite_sound_messages
 from bodylog.logs.formats import open_log
 
 from . import peers
@@ -22,12 +22,12 @@ SOUND = [name for name in READ if EXPECTED[name]["worst"] is None and name != "e
 
 
 def texts(path: Path) -> str:
-    return "\n".join(finding.text for finding in examine(path))
+    return "\n".join(finding.text for finding in examine_log_file(path))
 
 
 @pytest.mark.parametrize("name", SOUND)
 def test_examine_finds_nothing_in_a_sound_log(name: str) -> None:
-    assert examine(FOLDER / name) == ()
+    assert examine_log_file(FOLDER / name) == ()
 
 
 @pytest.mark.parametrize(
@@ -108,14 +108,14 @@ def test_examine_compares_metadata_yaml_with_the_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", READ)
 def test_repair_keeps_what_is_sound(name: str, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
-    findings = repair(FOLDER / name, out)
+    findings = rewrite_sound_messages(FOLDER / name, out)
     assert findings == open_and_read(FOLDER / name)
     assert peers.ours(out) == peers.ours(FOLDER / name)
     assert peers.mcap_seeking(out) == peers.ours(out)
     if name != "empty_definition.bag":
-        assert examine(out) == ()
+        assert examine_log_file(out) == ()
     again = tmp_path / "again.mcap"
-    repair(FOLDER / name, again)
+    rewrite_sound_messages(FOLDER / name, again)
     assert again.read_bytes() == out.read_bytes()
 
 
@@ -140,7 +140,7 @@ def test_repair_keeps_sequence_times_channels_and_extras(tmp_path: Path) -> None
     writer.add_attachment(1, 2, "notes.txt", "text/plain", b"hello")
     writer.add_metadata("about", {"robot": "ur5"})
     writer.finish()
-    assert repair(path, out) == ()
+    assert rewrite_sound_messages(path, out) == ()
 
     def content(file: Path) -> list[object]:
         with file.open("rb") as stream:
@@ -159,14 +159,14 @@ def test_repair_refuses_the_input_as_output(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes((FOLDER / "none.mcap").read_bytes())
     with pytest.raises(UsageError, match="choose another name"):
-        repair(path, path)
+        rewrite_sound_messages(path, path)
 
 
 def test_repair_writes_nothing_when_nothing_is_sound(tmp_path: Path) -> None:
     path, out = tmp_path / "x.mcap", tmp_path / "out.mcap"
     path.write_bytes((FOLDER / "none.mcap").read_bytes()[:60])
     with pytest.raises(LogError, match="nothing in it can be saved"):
-        repair(path, out)
+        rewrite_sound_messages(path, out)
     assert not out.exists()
     assert list(tmp_path.iterdir()) == [path]
 
@@ -175,7 +175,7 @@ def test_repair_writes_nothing_when_nothing_is_sound(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["test_sample_truncated.mcap", "test_truncated.bag", "gps.bag.active", "reach.bag"])
 def test_repair_output_is_read_by_every_reader(name: str, tmp_path: Path) -> None:
     path, out = next(LOGS.rglob(name)), tmp_path / "out.mcap"
-    repair(path, out)
+    rewrite_sound_messages(path, out)
     wanted = peers.ours(path)
     assert peers.mcap_seeking(out) == peers.mcap_streaming(out) == wanted
     assert Counter(topic for topic, _, _ in wanted.elements()).total() > 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import LogError
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.formats import open_log, payload_views
 from bodylog.types import Batch
 
 from . import peers
@@ -116,7 +116,7 @@ def test_open_names_missing_files_and_empty_folders(tmp_path: Path) -> None:
 def test_payloads_are_views_of_the_batch() -> None:
     data = np.frombuffer(b"abcdefgh", np.uint8)
     batch = Batch(0, np.array([1, 2]), data, np.array([5, 1]), np.array([3, 2]))
-    assert [bytes(payload) for payload in payloads(batch)] == [b"fgh", b"bc"]
+    assert [bytes(payload) for payload in payload_views(batch)] == [b"fgh", b"bc"]
 
 
 @recorded

@@ -8,9 +8,9 @@ import pytest
 from bodylog.body.kinematic.learn import Robotics
 from bodylog.errors import LogError
 from bodylog.kinematics import urdf
-from bodylog.kinematics.chain import between
+from bodylog.kinematics.chain import chain_between
 from bodylog.kinematics.frame_robot import BASE, frame_robot
-from bodylog.kinematics.rotations import exponential, from_rpy, quaternions, to_rpy
+from bodylog.kinematics.rotations import rotation_from_vector, rotation_from_rpy, quaternions_from_rotations, rpy_from_rotation
 from bodylog.logs.formats import open_log
 from bodylog.logs.tables.frame_columns import frame_of, frame_poses
 from bodylog.robot_model import joints_of_urdf
@@ -21,7 +21,7 @@ from tests.kinematics.robots import ARM
 def poses(base, count=30, seed=0):
     """Places and rotations about one, the rotations within 40 degrees of it."""
     draw = np.random.default_rng(seed)
-    rotation = np.array([base @ exponential(draw.uniform(-0.4, 0.4, 3)) for _ in range(count)])
+    rotation = np.array([base @ rotation_from_vector(draw.uniform(-0.4, 0.4, 3)) for _ in range(count)])
     return draw.uniform(-0.5, 0.8, (count, 3)), rotation
 
 
@@ -32,17 +32,17 @@ def columns(place, rotation, form):
         return {f"O_T_EE_{r}{c}": matrix[:, r, c] for r in range(4) for c in range(4)}
     named = {f"tcp_{axis}": place[:, k] for k, axis in enumerate("xyz")}
     if form == "quaternion":
-        turned = quaternions(rotation) * np.where(np.arange(len(place)) % 2, 1.0, -1.0)[:, None]  # both signs occur
+        turned = quaternions_from_rotations(rotation) * np.where(np.arange(len(place)) % 2, 1.0, -1.0)[:, None]  # both signs occur
         return named | {f"tcp_q{axis}": turned[:, k] for k, axis in enumerate("xyzw")}
-    angles = np.array([to_rpy(one) for one in rotation])
+    angles = np.array([rpy_from_rotation(one) for one in rotation])
     return named | {f"tcp_{axis}": angles[:, k] for k, axis in enumerate(("roll", "pitch", "yaw"))}
 
 
 BASES = {
     "upright": np.eye(3),
     "downward": np.diag([1.0, -1.0, -1.0]),
-    "x upward": from_rpy(np.array([0.0, -np.pi / 2, 0.0])),
-    "y upward": from_rpy(np.array([np.pi / 2, 0.0, 0.0])),
+    "x upward": rotation_from_rpy(np.array([0.0, -np.pi / 2, 0.0])),
+    "y upward": rotation_from_rpy(np.array([np.pi / 2, 0.0, 0.0])),
     "half a turn": np.diag([-1.0, -1.0, 1.0]),
 }
 
@@ -56,7 +56,7 @@ def test_coordinates_carry_the_frame_to_its_poses(base, form):
     names = tuple(coordinates)
     assert frame_of(names) == found.name
     assert all(np.ptp(values) < 3.0 for values in coordinates.values())  # no leap by a turn
-    chain = between(frame_robot(found.name, names), BASE, found.name)
+    chain = chain_between(frame_robot(found.name, names), BASE, found.name)
     there = chain.over(names).at(np.column_stack(list(coordinates.values())))
     np.testing.assert_allclose(there.place, place, atol=1e-12)
     np.testing.assert_allclose(there.rotation, rotation, atol=1e-9)
@@ -119,7 +119,7 @@ def test_columns_beyond_the_urdf_are_no_joints():
     t = np.arange(3.0)
     joints = Series(t, np.arange(9.0).reshape(3, 3), ("pan", "humidity", "lift"), "rad", t.astype(np.int64))
     found = Features(joints, {}, None, (), (), {}, poses=True)
-    robot = Robotics(urdf.parse(ARM, "arm.urdf"), {}, 0.1)
+    robot = Robotics(urdf.parse_urdf(ARM, "arm.urdf"), {}, 0.1)
     (kept,), findings = joints_of_urdf([found], robot)
     assert kept.joints.names == ("pan", "lift")
     np.testing.assert_array_equal(kept.joints.values, joints.values[:, [0, 2]])

@@ -14,8 +14,8 @@ import zstandard
 from bodylog.errors import FormatError, LogError
 from bodylog.logs.decode import definitions
 from bodylog.logs.diagnostics import Diagnostics
-from bodylog.logs.formats import open_log, payloads
-from bodylog.logs.images.messages import decoder
+from bodylog.logs.formats import open_log, payload_views
+from bodylog.logs.images.messages import make_image_decoder
 from bodylog.logs.limits import Input
 from bodylog.logs.rosbag2.folder import metadata_of
 from bodylog.logs.storage import compression, packed_files
@@ -43,7 +43,7 @@ def _joints(path, times, make=None):
 @pytest.mark.parametrize("odd", [2**62 + 1, 2**63 - 1, 2**63, 2**64 - 1])
 def test_open_ignores_impossible_log_times(tmp_path, odd):
     path = _joints(tmp_path / "x.mcap", [T0 + k * 10**7 for k in range(30)] + [odd])
-    read = recording.read(path, Settings())
+    read = recording.read_recording(path, Settings())
     assert len(read.joints.t) == 30 and read.joints.t[-1] == pytest.approx(0.29)
     assert read.health["/joint_states"].rejected == {"time years away": 1}
     assert any("log times such as" in finding.text for finding in read.findings)
@@ -65,7 +65,7 @@ def test_read_rejects_only_messages_with_invalid_stamps(tmp_path, stamp):
     odd = b'{"header": {"stamp": {"sec": %s, "nanosec": 0}}, "name": ["a"], "position": [1]}' % stamp.encode()
     schema = b'{"properties": {"header": {}}}'
     stream = writing.Stream("/joint_states", JSON_JOINTS, schema, [*messages, (T0 + 10**9, odd)], "json", "jsonschema")
-    read = recording.read(writing.write(tmp_path / "x.mcap", [stream]), Settings())
+    read = recording.read_recording(writing.write(tmp_path / "x.mcap", [stream]), Settings())
     assert len(read.joints.t) == 30 and sum(read.health["/joint_states"].rejected.values()) == 1
 
 
@@ -77,11 +77,11 @@ def test_read_counts_invalid_positions(tmp_path, position):
     marked = _joints(tmp_path / "y.mcap", times, lambda k: {"name": ["a", "b"], "position": "@" if k == 30 else [k, 1]})
     with open_log(marked) as log:
         messages = [
-            (t, bytes(p)) for batch in log.batches() for t, p in zip(batch.log_ns, payloads(batch), strict=True)
+            (t, bytes(p)) for batch in log.batches() for t, p in zip(batch.log_ns, payload_views(batch), strict=True)
         ]
     messages = [(int(t), p.replace(b'"@"', position.encode())) for t, p in messages]
     stream = writing.Stream("/joint_states", JSON_JOINTS, b"{}", messages, "json", "jsonschema")
-    read = recording.read(writing.write(tmp_path / "x.mcap", [stream]), Settings())
+    read = recording.read_recording(writing.write(tmp_path / "x.mcap", [stream]), Settings())
     rejected = sum(read.health["/joint_states"].rejected.values())
     assert len(read.joints.t) == 31 - rejected
     assert np.isfinite(read.joints.values[:30]).all() and np.nanmax(np.abs(read.joints.values)) <= 30
@@ -91,7 +91,7 @@ def test_ingest_writes_names_with_lone_surrogates(tmp_path, run_cli):
     times = [T0 + k * 10**7 for k in range(30)]
     path = _joints(tmp_path / "x.mcap", times, lambda k: {"name": ["\ud800"], "position": [k]})
     assert run_cli("ingest", path, "-o", tmp_path / "out.mcap") == 0
-    assert recording.read(tmp_path / "out.mcap", Settings()).joints.names == ("\\ud800",)
+    assert recording.read_recording(tmp_path / "out.mcap", Settings()).joints.names == ("\\ud800",)
 
 
 def _raw(**fields):
@@ -104,7 +104,7 @@ def test_decoder_refuses_invalid_image_sizes(field, value):
     topic = Topic(0, "/cam", "foxglove.RawImage", "json", b"{}", "jsonschema", 1)
     payload = _raw(**{field: "@"}).replace(b'"@"', value.encode())
     with pytest.raises(FormatError, match="/cam: "):
-        decoder(topic)(payload, 1)
+        make_image_decoder(topic)(payload, 1)
 
 
 @pytest.mark.parametrize("encoding", ["yuv422", "uyvy", "yuyv", "yuv422_yuy2", "nv12", "bayer_rggb8", "bayer_gbrg16"])
@@ -115,7 +115,7 @@ def test_decoder_converts_or_refuses_odd_and_tiny_images(encoding, height, width
     topic = Topic(0, "/cam", "foxglove.RawImage", "json", b"{}", "jsonschema", 1)
     data = base64.b64encode(bytes(100)).decode()
     try:
-        image = decoder(topic)(_raw(height=height, width=width, encoding=encoding, step=0, data=data), 1)
+        image = make_image_decoder(topic)(_raw(height=height, width=width, encoding=encoding, step=0, data=data), 1)
     except FormatError as problem:
         assert str(problem).startswith("/cam: ") and "\n" not in str(problem)
     else:
@@ -127,9 +127,9 @@ def test_decoder_refuses_large_images_before_allocation(suffix):
     payload = writing.compressed(T0, np.zeros((600, 2000), np.uint8), suffix, suffix[1:])
     kind = "sensor_msgs/msg/CompressedImage"
     topic = Topic(0, "/cam", kind, "cdr", writing.define(kind), "ros2msg", 1)
-    assert decoder(topic, 1.2)(payload, 1).shape == (600, 2000, 3)
+    assert make_image_decoder(topic, 1.2)(payload, 1).shape == (600, 2000, 3)
     with pytest.raises(FormatError, match=r"2000 x 600 pixels, more than 1.1 million; .*max_image_mpx = 2"):
-        decoder(topic, 1.1)(payload, 1)
+        make_image_decoder(topic, 1.1)(payload, 1)
 
 
 _ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT {} FROM n"
@@ -195,7 +195,7 @@ def test_parse_refuses_long_idl_expressions_quickly():
 
 def _refused(inner, why):
     with at_most(calls=50_000), pytest.raises(FormatError, match=why):
-        definitions.parse(f"module m {{ module msg {{ {inner} }}; }};".encode(), "m/msg/X", "ros2idl")
+        definitions.parse_definition(f"module m {{ module msg {{ {inner} }}; }};".encode(), "m/msg/X", "ros2idl")
 
 
 def test_parse_reads_rosidl_output():
@@ -204,13 +204,13 @@ def test_parse_reads_rosidl_output():
       @verbatim (language="comment", text="one (1)" "\\n" "two >>>>>> [[[")
       struct X { double__36 cov; sequence<string<5>, 3> names; @verbatim (language="comment", text="x") double a[4]; };
     }; };"""
-    found = definitions.parse(text.encode(), "m/msg/X", "ros2idl")
+    found = definitions.parse_definition(text.encode(), "m/msg/X", "ros2idl")
     assert [(field.name, field.size) for field in found.types["m/msg/X"]] == [("cov", 36), ("names", -1), ("a", 4)]
 
 
 def test_parse_refuses_long_definitions():
     with pytest.raises(FormatError, match="at most 1048576 are read"):
-        definitions.parse(b"float64 x\n" * 200_000, "m/msg/X", "ros2msg")
+        definitions.parse_definition(b"float64 x\n" * 200_000, "m/msg/X", "ros2msg")
 
 
 def _packed_messages(path, sizes):
@@ -331,5 +331,5 @@ def test_commands_handle_names_that_are_not_utf_8(tmp_path, run_cli, folder):
 
 def test_read_uses_most_of_times_decades_apart(tmp_path):
     times = [T0 + k * 10**7 for k in range(30)] + [2 * T0 + k * 10**7 for k in range(20)]
-    read = recording.read(_joints(tmp_path / "x.mcap", times), Settings())
+    read = recording.read_recording(_joints(tmp_path / "x.mcap", times), Settings())
     assert len(read.joints.t) == 30 and read.health["/joint_states"].rejected == {"time years away": 20}

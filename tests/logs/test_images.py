@@ -20,9 +20,9 @@ from bodylog.logs.decode.layout import Picker
 from bodylog.logs.images import video_file
 from bodylog.logs.images.codecs import check_size
 from bodylog.logs.images.header_sizes import stated_size
-from bodylog.logs.images.messages import ENCODINGS, decoder, refusal
+from bodylog.logs.images.messages import ENCODINGS, make_image_decoder, explain_refused_image
 from bodylog.logs.limits import Input
-from bodylog.types import Frame, Topic
+from bodylog.types import LazyImage, Topic
 
 from .writing import T0, cdr, compressed, define, descriptors, header, wire
 
@@ -75,7 +75,7 @@ def test_decoder_reads_packed_encodings(encoding, padding):
     want = np.repeat(pixels, 3, axis=2) if encoding == "mono8" else bgr
     payload = raw(encoding, pixels, 31, pixels.shape[1] * pixels.shape[2] + padding)
     for k in (1, 2, 4, 8):
-        np.testing.assert_array_equal(decoder(topic(IMAGE))(payload, k), want[::k, ::k])
+        np.testing.assert_array_equal(make_image_decoder(topic(IMAGE))(payload, k), want[::k, ::k])
 
 
 @pytest.mark.parametrize("big", [False, True])
@@ -86,8 +86,8 @@ def test_decoder_keeps_the_high_byte_of_16_bits(encoding, big):
     low = scene(3, channels=high.shape[2])
     wide = (high.astype(np.uint16) << 8 | low).astype(">u2" if big else "<u2")
     want = np.repeat(high, 3, axis=2) if high.shape[2] == 1 else bgr
-    np.testing.assert_array_equal(decoder(topic(IMAGE))(raw(encoding, wide, 31, big=big), 1), want)
-    np.testing.assert_array_equal(decoder(topic(IMAGE))(raw(encoding, wide, 31, 31 * 8 + 2, big), 4), want[::4, ::4])
+    np.testing.assert_array_equal(make_image_decoder(topic(IMAGE))(raw(encoding, wide, 31, big=big), 1), want)
+    np.testing.assert_array_equal(make_image_decoder(topic(IMAGE))(raw(encoding, wide, 31, 31 * 8 + 2, big), 4), want[::4, ::4])
 
 
 @pytest.mark.parametrize("size", [8, 16])
@@ -97,7 +97,7 @@ def test_decoder_reads_bayer_patterns(pattern, size):
     cell = np.array([[colour[pattern[0]], colour[pattern[1]]], [colour[pattern[2]], colour[pattern[3]]]], np.uint8)
     mosaic = np.tile(cell, (6, 8))
     rows = mosaic if size == 8 else (mosaic.astype("<u2") << 8)
-    image = decoder(topic(IMAGE))(raw(f"bayer_{pattern}{size}", rows, 16), 1)
+    image = make_image_decoder(topic(IMAGE))(raw(f"bayer_{pattern}{size}", rows, 16), 1)
     np.testing.assert_array_equal(image[2:-2, 2:-2], np.broadcast_to([20, 120, 230], (8, 12, 3)))
 
 
@@ -122,7 +122,7 @@ def test_decoder_reads_yuv420_as_bt601(encoding):
         sizes = {"height": height, "width": 12, "step": step if declared is None else declared}
         return cdr(IMAGE, header=header(T0), encoding=encoding, is_bigendian=0, data=padded.ravel(), **sizes)
 
-    decode = decoder(topic(IMAGE))
+    decode = make_image_decoder(topic(IMAGE))
     image = decode(payload(12), 1)
     assert np.abs(image - want).max() <= 2
     np.testing.assert_array_equal(decode(payload(12), 2), image[::2, ::2])
@@ -147,9 +147,9 @@ def test_decoder_reads_yuv422_as_bt601(encoding, luma):
     u, v = (np.repeat(uv[:, :, n].astype(float) - 128, 2, axis=1) for n in (0, 1))
     bright = 1.164 * (y.astype(float) - 16)
     want = np.stack([bright + 2.018 * u, bright - 0.813 * v - 0.391 * u, bright + 1.596 * v], axis=2)
-    image = decoder(topic(IMAGE))(raw(encoding, packed, 12), 1)
+    image = make_image_decoder(topic(IMAGE))(raw(encoding, packed, 12), 1)
     assert np.abs(image - np.clip(want, 0, 255)).max() <= 2
-    np.testing.assert_array_equal(decoder(topic(IMAGE))(raw(encoding, packed, 12), 2), image[::2, ::2])
+    np.testing.assert_array_equal(make_image_decoder(topic(IMAGE))(raw(encoding, packed, 12), 2), image[::2, ::2])
 
 
 def test_encodings_are_all_tested():
@@ -170,11 +170,11 @@ def test_decoder_returns_lossless_images_exactly(suffix, form):
     options = [cv2.IMWRITE_WEBP_QUALITY, 101] if suffix == ".webp" else []
     data = cv2.imencode(suffix, bgr, options)[1].ravel()
     payload = cdr(COMPRESSED, header=header(T0), format=form, data=data)
-    np.testing.assert_array_equal(decoder(topic(COMPRESSED))(payload, 1), bgr)
+    np.testing.assert_array_equal(make_image_decoder(topic(COMPRESSED))(payload, 1), bgr)
     for k in (2, 4, 8):
         height, width = bgr.shape[0] // k, bgr.shape[1] // k
         means = bgr[: height * k, : width * k].reshape(height, k, width, k, 3).mean(axis=(1, 3))
-        np.testing.assert_allclose(decoder(topic(COMPRESSED))(payload, k), means, atol=0.51)
+        np.testing.assert_allclose(make_image_decoder(topic(COMPRESSED))(payload, k), means, atol=0.51)
 
 
 @pytest.mark.parametrize("form", ["jpeg", "jpg", "bgr8; jpeg compressed bgr8", ""])
@@ -184,7 +184,7 @@ def test_decoder_shrinks_jpeg_while_decoding(form, shape):
     bgr = np.stack([row * 4, column * 3, 200 - row - column], axis=2).astype(np.uint8)
     payload = compressed(T0, bgr, ".jpg", form)
     for k in (1, 2, 4, 8):
-        image = decoder(topic(COMPRESSED))(payload, k)
+        image = make_image_decoder(topic(COMPRESSED))(payload, k)
         assert image.shape == (-(-shape[0] // k), -(-shape[1] // k), 3)
         blocks = bgr[: shape[0] // k * k, : shape[1] // k * k].reshape(shape[0] // k, k, shape[1] // k, k, 3)
         assert np.abs(image[: shape[0] // k, : shape[1] // k] - blocks.mean(axis=(1, 3))).mean() < 4
@@ -213,9 +213,9 @@ def test_decoder_equals_opencv_for_any_jpeg(kind, data):
         expected = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
         if expected is None:
             with pytest.raises(FormatError, match="cannot be decoded"):
-                decoder(topic(COMPRESSED))(payload, k)
+                make_image_decoder(topic(COMPRESSED))(payload, k)
         else:
-            np.testing.assert_array_equal(decoder(topic(COMPRESSED))(payload, k), expected)
+            np.testing.assert_array_equal(make_image_decoder(topic(COMPRESSED))(payload, k), expected)
 
 
 def test_decoder_ignores_the_jpeg_orientation_tag():
@@ -225,7 +225,7 @@ def test_decoder_ignores_the_jpeg_orientation_tag():
     exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
     turned = plain[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + plain[2:]
     payload = cdr(COMPRESSED, header=header(T0), format="jpeg", data=np.frombuffer(turned, np.uint8))
-    image = decoder(topic(COMPRESSED))(payload, 1)
+    image = make_image_decoder(topic(COMPRESSED))(payload, 1)
     assert image.shape == (16, 32, 3)
     assert np.abs(image.astype(int) - [0, 0, 255]).max() < 5
 
@@ -234,14 +234,14 @@ def test_decoder_reads_foxglove_json_and_ros2msg():
     bgr = scene(6)
     png = cv2.imencode(".png", bgr)[1].tobytes()
     held = json.dumps({"timestamp": {"sec": 1, "nsec": 2}, "format": "png", "data": base64.b64encode(png).decode()})
-    read = decoder(topic("foxglove.CompressedImage", b"{}", "json"))
+    read = make_image_decoder(topic("foxglove.CompressedImage", b"{}", "json"))
     np.testing.assert_array_equal(read(held.encode(), 1), bgr)
     lines = base64.b64encode(bgr[:, :, ::-1].tobytes()).decode()
     held = json.dumps({"width": 31, "height": 23, "encoding": "rgb8", "step": 93, "data": lines})
-    np.testing.assert_array_equal(decoder(topic("foxglove.RawImage", b"{}", "json"))(held.encode(), 2), bgr[::2, ::2])
+    np.testing.assert_array_equal(make_image_decoder(topic("foxglove.RawImage", b"{}", "json"))(held.encode(), 2), bgr[::2, ::2])
     body = struct.pack("<iII4sIII8s", 5, 6, 4, b"cam\0", 31, 23, 5, b"rgb8")
     payload = b"\0\1\0\0" + body + struct.pack("<II", 93, bgr.size) + bgr[:, :, ::-1].tobytes()
-    read = decoder(topic("foxglove_msgs/msg/RawImage", RAW_TEXT.encode()))
+    read = make_image_decoder(topic("foxglove_msgs/msg/RawImage", RAW_TEXT.encode()))
     np.testing.assert_array_equal(read(payload, 1), bgr)
 
 
@@ -254,7 +254,7 @@ def test_decoder_reads_foxglove_protobuf():
     schema = times + descriptors("foxglove", {"RawImage": fields})
     sizes = b"".join(wire(n, (struct.pack("<I", value),)) for n, value in ((2, 31), (3, 23), (5, 93)))
     payload = wire(1, wire(1, 5) + wire(2, 6)) + sizes + wire(4, b"bgr8") + wire(6, bgr.tobytes())
-    read = decoder(topic("foxglove.RawImage", schema, "protobuf"))
+    read = make_image_decoder(topic("foxglove.RawImage", schema, "protobuf"))
     np.testing.assert_array_equal(read(payload, 4), bgr[::4, ::4])
     with pytest.raises(FormatError, match=r"^/cam: "):
         read(payload[:-1], 1)
@@ -269,7 +269,7 @@ def test_decoder_reads_foxglove_protobuf():
 )  # fmt: skip
 def test_decoder_refuses_other_json_values(odd):
     held = {"width": 1, "height": 1, "encoding": "mono8", "step": 1, "data": "AA=="}
-    read = decoder(topic("foxglove.RawImage", b"{}", "json"))
+    read = make_image_decoder(topic("foxglove.RawImage", b"{}", "json"))
     assert read(json.dumps(held).encode(), 1).shape == (1, 1, 3)
     with pytest.raises(FormatError, match=r"^/cam: "):
         read(json.dumps({**held, **odd}).encode(), 1)
@@ -286,7 +286,7 @@ def test_decoder_refuses_other_json_values(odd):
     ],
 )
 def test_refusal_gives_a_reason(type_, text, says):
-    reason = refusal(topic(type_), text)
+    reason = explain_refused_image(topic(type_), text)
     assert (reason is None) == (says is None)
     assert says is None or says in str(reason)
 
@@ -303,7 +303,7 @@ def test_refusal_gives_a_reason(type_, text, says):
 )
 def test_decoder_refuses_inconsistent_raw_images(payload, says):
     with pytest.raises(FormatError, match=says):
-        decoder(topic(IMAGE))(payload(), 1)
+        make_image_decoder(topic(IMAGE))(payload(), 1)
 
 
 def _raw_sizes(height: int, width: int, step: int) -> bytes:
@@ -331,7 +331,7 @@ JPEG = cv2.imencode(".jpg", scene(9))[1].tobytes()
 def test_decoder_refuses_invalid_compressed_images(form, data, says):
     payload = cdr(COMPRESSED, header=header(T0), format=form, data=np.frombuffer(data, np.uint8))
     with pytest.raises(FormatError, match=says):
-        decoder(topic(COMPRESSED))(payload, 1)
+        make_image_decoder(topic(COMPRESSED))(payload, 1)
 
 
 def test_decoder_suppresses_library_output(capfd):
@@ -343,7 +343,7 @@ def test_decoder_suppresses_library_output(capfd):
         for data in some:
             with suppress(FormatError):
                 payload = cdr(COMPRESSED, header=header(T0), format=form, data=np.frombuffer(data, np.uint8))
-                decoder(topic(COMPRESSED))(payload, 1)
+                make_image_decoder(topic(COMPRESSED))(payload, 1)
     assert capfd.readouterr().err == ""
 
 
@@ -362,7 +362,7 @@ def test_decoder_survives_damaged_payloads(seed, flips):
     for where, bits in flips:
         broken[where % len(broken)] ^= bits
     try:
-        image = decoder(topic(IMAGE if seed % 2 else COMPRESSED))(bytes(broken), 1)
+        image = make_image_decoder(topic(IMAGE if seed % 2 else COMPRESSED))(bytes(broken), 1)
     except FormatError:
         return
     assert image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
@@ -402,14 +402,14 @@ def test_picker_is_independent_of_earlier_messages(messages):
 
 def test_frame_image_is_writable():
     payload = raw("bgr8", scene(11), 31)
-    image = Frame(0.0, 0, partial(decoder(topic(IMAGE)), payload)).image
+    image = LazyImage(0.0, 0, partial(make_image_decoder(topic(IMAGE)), payload)).image
     image[:] = 0
-    np.testing.assert_array_equal(decoder(topic(IMAGE))(payload, 1), scene(11))
+    np.testing.assert_array_equal(make_image_decoder(topic(IMAGE))(payload, 1), scene(11))
 
 
 def test_decoder_is_thread_safe():
     payloads = [compressed(T0, scene(seed, 60, 80), ".jpg", "jpeg") for seed in range(24)]
-    read = decoder(topic(COMPRESSED))
+    read = make_image_decoder(topic(COMPRESSED))
     alone = [read(payload, 2) for payload in payloads]
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(lambda payload: read(payload, 2), payloads))
@@ -450,15 +450,15 @@ def _film(path, count, width, height):
 
 def test_images_of_a_side_video_that_grew_or_changed_its_size_are_left_out(tmp_path):
     path = _film(tmp_path / "film.avi", 4, 64, 48)
-    side = video_file.find("film.avi", tmp_path / "log.mcap", None, Input(max_frames=5))
-    assert [round(frame.t, 6) for frame in video_file.frames(side, 1.0, 0)()] == [1.0, 1.1, 1.2, 1.3]
+    side = video_file.find_video_file("film.avi", tmp_path / "log.mcap", None, Input(max_frames=5))
+    assert [round(frame.t, 6) for frame in video_file.make_video_decoder(side, 1.0, 0)()] == [1.0, 1.1, 1.2, 1.3]
     _film(path, 9, 64, 48)
-    assert len(list(video_file.frames(side, 0.0, 0)())) == 4
+    assert len(list(video_file.make_video_decoder(side, 0.0, 0)())) == 4
     _film(path, 4, 640, 480)
-    changed = list(video_file.frames(side, 0.0, 0)())
+    changed = list(video_file.make_video_decoder(side, 0.0, 0)())
     with pytest.raises(FormatError, match=r"film.avi: image 0 is damaged or of another size"):
         changed[0].decode(1)
     with pytest.raises(LogError, match=r"film.avi: more than 3 images; .*\[input\] max_frames = 30"):
-        video_file.find("film.avi", tmp_path / "log.mcap", None, Input(max_frames=3))
+        video_file.find_video_file("film.avi", tmp_path / "log.mcap", None, Input(max_frames=3))
     with pytest.raises(LogError, match=r"film.avi: images of 640 x 480; set \[input\] max_image_mpx"):
-        video_file.find("film.avi", tmp_path / "log.mcap", None, Input(max_image_mpx=0.01))
+        video_file.find_video_file("film.avi", tmp_path / "log.mcap", None, Input(max_image_mpx=0.01))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from bodylog.errors import ConfigError, LogError
-from bodylog.recording.facts import info
+from bodylog.recording.facts import describe_log
 from bodylog.recording.joint_names import topic_name
-from bodylog.recording.recording import read
-from bodylog.settings import Body, Settings, Time, Topics
+from bodylog.recording.recording import read_recording
+from bodylog.settings import BodySettings, Settings, TimeSettings, TopicSettings
 
 from .writing import T0, Stream, joint_state, joints, write
 
@@ -36,46 +36,46 @@ def two(tmp_path) -> Path:
 
 
 def test_series_merges_topics_without_shared_names(two):
-    found = read(two, Settings())
+    found = read_recording(two, Settings())
     assert found.roles["joints"] == "/arm/joint_states" and found.roles["joints/head"] == "/head/joint_states"
     assert found.joints.names == ("pan", "lift", "neck") and found.beside == ("neck",)
     assert len(found.joints.t) == 450 and np.all(np.diff(found.joints.t) > 0)
     arm = np.isfinite(found.joints.values[:, 0])
     assert arm.sum() == 300 and np.isnan(found.joints.values[arm, 2]).all()
     np.testing.assert_allclose(found.joints.values[~arm, 2], found.joints.t[~arm] - 0.003, atol=1e-9)
-    alone = read(two, Settings(topics=Topics(joints="/arm/joint_states")))
+    alone = read_recording(two, Settings(topics=TopicSettings(joints="/arm/joint_states")))
     np.testing.assert_array_equal(alone.joints.values, found.joints.values[arm, :2])
     np.testing.assert_array_equal(alone.joints.t, found.joints.t[arm])
-    assert info(two, Settings())["joints"] == ["pan", "lift", "neck"]
+    assert describe_log(two, Settings())["joints"] == ["pan", "lift", "neck"]
 
 
 def test_series_applies_each_topics_delay(two):
-    settings = Settings(time=Time(delay={"joints/head": 0.003}))
-    found = read(two, settings)
+    settings = Settings(time=TimeSettings(delay={"joints/head": 0.003}))
+    found = read_recording(two, settings)
     assert len(found.joints.t) == 300  # the head's readings are now at every second one of the arm
     whole = np.isfinite(found.joints.values).all(axis=1)
     np.testing.assert_allclose(found.joints.values[whole, 2], found.joints.t[whole], atol=1e-9)
     with pytest.raises(ConfigError, match=r"'joints/neck'; possible: joints/arm, joints/head"):
-        read(two, Settings(time=Time(delay={"joints/neck": 0.003})))
+        read_recording(two, Settings(time=TimeSettings(delay={"joints/neck": 0.003})))
 
 
 def test_names_add_the_topic_to_shared_names(tmp_path):
     left, right = (_topic(f"/{side}/joint_states", ("elbow", side), 10, 50) for side in ("left", "right"))
     path = write(tmp_path / "sides.mcap", [left, right])
-    guessed = read(path, Settings())
+    guessed = read_recording(path, Settings())
     assert guessed.joints.names == ("elbow", "left") and "joints/right" not in guessed.roles
     assert any('joints = ["/left/joint_states", "/right/joint_states"]' in f.text for f in guessed.findings)
-    both = Settings(topics=Topics(joints=("/left/joint_states", "/right/joint_states")))
-    found = read(path, both)
+    both = Settings(topics=TopicSettings(joints=("/left/joint_states", "/right/joint_states")))
+    found = read_recording(path, both)
     assert found.joints.names == ("left/elbow", "left", "right/elbow", "right") and found.beside == ()
-    chosen = read(path, replace(both, body=Body(joints=("right/elbow", "left"))))
+    chosen = read_recording(path, replace(both, body=BodySettings(joints=("right/elbow", "left"))))
     assert chosen.joints.names == ("right/elbow", "left")
     with pytest.raises(LogError, match="names 'elbow'; the log has left, left/elbow, right, right/elbow"):
-        read(path, replace(both, body=Body(joints=("elbow",))))
+        read_recording(path, replace(both, body=BodySettings(joints=("elbow",))))
     with pytest.raises(LogError, match="there is no topic '/up/joint_states'"):
-        read(path, Settings(topics=Topics(joints=("/left/joint_states", "/up/joint_states"))))
+        read_recording(path, Settings(topics=TopicSettings(joints=("/left/joint_states", "/up/joint_states"))))
     with pytest.raises(ConfigError, match="both get the name 'left'"):
-        read(path, Settings(topics=Topics(joints=("/left/joint_states", "/left"))))
+        read_recording(path, Settings(topics=TopicSettings(joints=("/left/joint_states", "/left"))))
 
 
 @pytest.mark.parametrize(
@@ -92,12 +92,12 @@ def test_roles_ignore_commands_and_copies(tmp_path):
         _topic("/pan_command", ("other",), 10, 50),
         _topic("/arm/joint_states", ("pan",), 10, 50),
     ]
-    found = read(write(tmp_path / "x.mcap", parts), Settings())
+    found = read_recording(write(tmp_path / "x.mcap", parts), Settings())
     assert found.joints.names == ("pan", "lift") and found.beside == ()
 
 
 def _texts(path: Path) -> str:
-    return " | ".join(f"{f.severity}: {f.text}" for f in read(path, Settings()).findings)
+    return " | ".join(f"{f.severity}: {f.text}" for f in read_recording(path, Settings()).findings)
 
 
 def test_read_reports_two_publishers_on_one_topic(tmp_path):
@@ -115,7 +115,7 @@ def test_joints_in_varying_order_are_one_list(tmp_path):
     messages = [m for pair in zip(one.messages, two.messages, strict=True) for m in pair]
     path = write(tmp_path / "x.mcap", [replace(one, messages=messages)])
     assert "lists of joints" not in _texts(path)
-    assert set(read(path, Settings()).joints.names) == {"pan", "lift"}
+    assert set(read_recording(path, Settings()).joints.names) == {"pan", "lift"}
 
 
 def test_read_reports_changing_and_vanishing_joints(tmp_path):
@@ -140,7 +140,7 @@ def test_read_counts_positions_that_are_texts(tmp_path):
     rows = [(T0 + k * 10 * MS, message(k)) for k in range(40)]
     stream = Stream("/joint_states", "sensor_msgs/msg/JointState", b"{}", rows, "json", "jsonschema")
     path = write(tmp_path / "x.mcap", [stream])
-    found = read(path, Settings())
+    found = read_recording(path, Settings())
     health = found.health["/joint_states"]
     assert (health.seen, health.used) == (40, 30) and health.rejected == {"positions that are not numbers": 10}
     assert "rejected 10 (positions that are not numbers) of 40 messages" in _texts(path)

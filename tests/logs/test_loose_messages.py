@@ -7,10 +7,10 @@ import pytest
 from mcap.writer import Writer
 
 from bodylog.errors import BodylogError
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.formats import open_log, payload_views
 from bodylog.logs.mcap import opcodes as op
 from bodylog.logs.mcap import resync
-from bodylog.logs.mcap.chunks import LooseRecords, following, loose_messages
+from bodylog.logs.mcap.chunks import LooseRecords, follow_messages, loose_messages
 from bodylog.logs.mcap.records import HEAD, MAGIC, iter_records
 
 SEEDS = range(12)
@@ -49,7 +49,7 @@ def everything(path: Path) -> object:
             found = [
                 (batch.topic_id, log_ns, bytes(payload))
                 for batch in log.batches()
-                for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True)
+                for log_ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True)
             ]
             return sorted(found), repr(log.topics), log.start_ns, log.end_ns, repr(log.findings)
     except BodylogError as problem:
@@ -83,5 +83,5 @@ def test_following_ends_before_a_truncated_message():
     for count in (3, 40):
         for tail in (whole[:-1], HEAD.pack(op.MESSAGE, 21) + bytes(21), HEAD.pack(op.MESSAGE, 1 << 63), b"\x05"):
             data = memoryview(whole * count + tail)
-            starts, after = following(data, 0, len(data))
+            starts, after = follow_messages(data, 0, len(data))
             assert (starts.tolist(), after) == ([39 * k for k in range(count)], 39 * count)

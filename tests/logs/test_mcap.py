@@ -16,14 +16,14 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from bodylog.errors import FormatError
 from bodylog.logs.decode.ros1_to_cdr import known_definition
-from bodylog.logs.encode.cdr import CdrField, serialise
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.encode.cdr import CdrField, serialise_messages
+from bodylog.logs.formats import open_log, payload_views
 from bodylog.logs.mcap import opcodes as op
-from bodylog.logs.mcap.records import parse
+from bodylog.logs.mcap.records import parse_record
 from bodylog.logs.storage.compression import Buffer
-from bodylog.recording.recording import read
+from bodylog.recording.recording import read_recording
 from bodylog.settings import Settings
-from bodylog.types import Frame
+from bodylog.types import LazyImage
 
 from . import peers
 
@@ -74,7 +74,7 @@ def test_open_reads_whatever_a_writer_does(
     with open_log(path, strict=True) as log:
         assert sum(topic.messages for topic in log.topics) == len(some)
         for topic in [topic for topic in log.topics if topic.messages]:
-            found = [bytes(part) for batch in log.batches([topic.id]) for part in payloads(batch)]
+            found = [bytes(part) for batch in log.batches([topic.id]) for part in payload_views(batch)]
             mine = TOPICS.index((topic.name, SCHEMAS.index(topic.type), topic.encoding))
             assert found == [payload for channel, _, payload in some if channel == mine]
             assert topic.messages == len(found)
@@ -116,7 +116,7 @@ def test_open_merges_publishers_in_file_order(tmp_path: Path) -> None:
     with open_log(path) as log:
         assert [(topic.name, topic.messages) for topic in log.topics] == [("/tf", 10)]
         (batch,) = log.batches()
-        assert [bytes(payload) for payload in payloads(batch)] == [bytes([number]) for number in range(10)]
+        assert [bytes(payload) for payload in payload_views(batch)] == [bytes([number]) for number in range(10)]
 
 
 def test_batches_open_only_the_topics_chunks(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_batches_open_only_the_topics_chunks(tmp_path: Path) -> None:
     with open_log(path) as log:
         (wanted,) = [topic.id for topic in log.topics if topic.name == "/b"]
         (batch,) = log.batches([wanted])
-        assert [bytes(payload) for payload in payloads(batch)] == [b"here"]
+        assert [bytes(payload) for payload in payload_views(batch)] == [b"here"]
         assert log.findings == ()
         assert sum(len(batch.log_ns) for batch in log.batches()) < 10
         assert {finding.severity for finding in log.findings} == {"lost"}
@@ -190,7 +190,7 @@ def test_batches_decompress_single_payloads(tmp_path: Path) -> None:
     with open_log(path) as log:
         (batch,) = log.batches()
         assert batch.log_ns.tolist() == [0, 1, 3]
-        assert [bytes(payload)[-1] for payload in payloads(batch)] == [0, 1, 3]
+        assert [bytes(payload)[-1] for payload in payload_views(batch)] == [0, 1, 3]
         assert [finding.severity for finding in log.findings] == ["lost"]
 
 
@@ -205,7 +205,7 @@ def test_batches_decompress_single_payloads(tmp_path: Path) -> None:
 )
 def test_parse_refuses_fields_past_the_end(opcode: int, body: bytes) -> None:
     with pytest.raises(FormatError):
-        parse(opcode, memoryview(body))
+        parse_record(opcode, memoryview(body))
 
 
 @pytest.mark.parametrize("compression", ["lz4", "zstd", "bz2"])
@@ -256,7 +256,7 @@ def test_batch_is_valid_until_the_next(tmp_path: Path) -> None:
     with open_log(path) as log:
         found = []
         for batch in log.batches():
-            found += [(time, bytes(part)) for time, part in zip(batch.log_ns.tolist(), payloads(batch), strict=True)]
+            found += [(time, bytes(part)) for time, part in zip(batch.log_ns.tolist(), payload_views(batch), strict=True)]
     assert found == [(time, payload) for _, time, payload in some]
 
 
@@ -284,7 +284,7 @@ def test_batches_drop_pages(tmp_path: Path) -> None:
     resident = []
     with open_log(path) as log:
         for batch in log.batches():
-            for one in payloads(batch):
+            for one in payload_views(batch):
                 assert bytes(one) == payload
                 resident.append(_resident_file())
     assert len(resident) == 2000
@@ -303,12 +303,12 @@ def test_frames_are_not_copied_and_drop_pages(tmp_path: Path) -> None:
         kind = "sensor_msgs/msg/Image"
         channel = writer.register_channel("/a", "cdr", writer.register_schema(kind, "ros2msg", known_definition(kind)))
         for time in range(0, 200_000_000_000, 1_000_000_000):
-            writer.add_message(channel, time, serialise(1, fields).data.tobytes(), time)
+            writer.add_message(channel, time, serialise_messages(1, fields).data.tobytes(), time)
         writer.finish()
-    recording = read(path, Settings())
+    recording = read_recording(path, Settings())
     assert recording.frames is not None
     tracemalloc.start()
-    behind: deque[Frame] = deque()
+    behind: deque[LazyImage] = deque()
     resident = []
     for frame in recording.frames():
         behind.append(frame)

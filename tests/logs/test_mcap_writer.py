@@ -6,8 +6,8 @@ import pytest
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 
-from bodylog.logs.mcap.encode import MessageTable, gather
-from bodylog.logs.mcap.writer import CHUNK_BYTES, Contents, Writer
+from bodylog.logs.mcap.encode import MessageTable, gather_pieces
+from bodylog.logs.mcap.writer import CHUNK_BYTES, Contents, McapRecordWriter
 
 
 def table(channels, rng, count, longest):
@@ -23,7 +23,7 @@ def table(channels, rng, count, longest):
 
 def file_of(*tables, topics=3, **about):
     stream = io.BytesIO()
-    writer = Writer(stream, Contents(), crc=0)
+    writer = McapRecordWriter(stream, Contents(), crc=0)
     writer.begin("ros2", "test")
     for i in range(topics):
         writer.topic(f"/t{i}", "std_msgs/msg/Empty", "cdr", b"", "ros2msg", {"number": str(i)})
@@ -95,7 +95,7 @@ def test_writer_crcs_are_right():
 
 def test_writer_shares_schemas():
     contents = Contents(schemas={65535: b"\3" + bytes(10) + b"x"}, channels={1: b"", 65535: b""})
-    writer = Writer(io.BytesIO(), contents)
+    writer = McapRecordWriter(io.BytesIO(), contents)
     numbers = [writer.topic(name, "a/msg/B", "cdr", b"int8 b", "ros2msg", {}) for name in "xyz"]
     assert numbers == [2, 3, 4] and set(contents.schemas) == {65535, 1}
 
@@ -103,6 +103,6 @@ def test_writer_shares_schemas():
 def test_gather_keeps_the_requested_order():
     data = np.arange(20_000, dtype=np.uint8)
     offset, length = np.array([9, 0, 100, 3]), np.array([2, 3, 10_000, 0])
-    packed, start = gather(data, offset, length)
+    packed, start = gather_pieces(data, offset, length)
     assert start.tolist() == [0, 2, 5, 10_005]
     assert packed.tobytes() == b"\x09\x0a\x00\x01\x02" + data[100:10_100].tobytes()

@@ -3,7 +3,7 @@
 import pytest
 
 from bodylog.errors import ConfigError
-from bodylog.logs.decode.message_path import IndexRange, Only, Path, parse, steps
+from bodylog.logs.decode.message_path import IndexRange, Only, Path, parse_message_path, parse_steps
 
 
 @pytest.mark.parametrize(
@@ -22,21 +22,21 @@ from bodylog.logs.decode.message_path import IndexRange, Only, Path, parse, step
     ],
 )
 def test_parse_splits_topic_and_steps(text, topic, expected):
-    assert parse(text) == Path(topic, expected)
+    assert parse_message_path(text) == Path(topic, expected)
 
 
 def test_parse_prefers_a_known_topic_with_dots():
-    assert parse("/cam.left.data", ["/cam", "/cam.left"]) == Path("/cam.left", ("data",))
+    assert parse_message_path("/cam.left.data", ["/cam", "/cam.left"]) == Path("/cam.left", ("data",))
 
 
 def test_steps_accept_a_missing_first_dot():
-    assert steps("data[:].prox[0]") == steps(".data[:].prox[0]")
+    assert parse_steps("data[:].prox[0]") == parse_steps(".data[:].prox[0]")
 
 
 @pytest.mark.parametrize("text", ["/a.", "/a.b[", "/a.b[x]", "/a.b{id=2}", "/a.b..c", "/a.b[1:2:3]"])
 def test_parse_names_the_invalid_part(text):
     with pytest.raises(ConfigError, match="cannot read"):
-        parse(text)
+        parse_message_path(text)
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bodylog.annotating.messages import from_joints, from_skin
-from bodylog.logs.encode.schemas import WRITTEN, definition
-from bodylog.logs.topic_names import escape, unescape
+from bodylog.logs.encode.schemas import WRITTEN, ros2msg_definition
+from bodylog.logs.topic_names import escape_topic_name, unescape_topic_name
 from bodylog.types import Series
 
 from .written import JOINTS, LATE, START, found, outgoing
@@ -116,7 +116,7 @@ def test_from_skin_writes_a_header():
 
 def test_schemas_are_complete():
     for kind in WRITTEN:
-        types = get_types_from_msg(definition(kind).decode(), kind)
+        types = get_types_from_msg(ros2msg_definition(kind).decode(), kind)
         named = {d[1] if d[0] == 2 else d[1][0][1] for _, fields in types.values() for _, d in fields if d[0] >= 2}
         assert {name for name in named if isinstance(name, str)} <= set(types)
         assert "builtin_interfaces/msg/Time" in types
@@ -124,11 +124,11 @@ def test_schemas_are_complete():
 
 @given(st.text(max_size=20))
 def test_escape_round_trips_names(name):
-    assert unescape(escape(name)) == name
-    for part in escape(name).split("/") if name else ():
+    assert unescape_topic_name(escape_topic_name(name)) == name
+    for part in escape_topic_name(name).split("/") if name else ():
         assert part and all(c.isascii() and (c.isalnum() or c == "_") for c in part)
         assert not part[0].isdigit()
 
 
 def test_escape_keeps_plain_names():
-    assert escape("end_effector2") == "end_effector2" and escape("elbow-dot 1") == "elbow_x2d_dot_x20_1"
+    assert escape_topic_name("end_effector2") == "end_effector2" and escape_topic_name("elbow-dot 1") == "elbow_x2d_dot_x20_1"

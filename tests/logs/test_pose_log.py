@@ -10,11 +10,11 @@ import pytest
 
 from bodylog.errors import FormatError, InputError, LogError
 from bodylog.logs.formats import open_log
-from bodylog.logs.tables.pose_columns import poses
-from bodylog.logs.tables.table_file import read
+from bodylog.logs.tables.pose_columns import assign_column_roles
+from bodylog.logs.tables.table_file import read_table_file
 from bodylog.pipeline import ingest, observe
 from bodylog.recording import recording
-from bodylog.settings import Body, Settings
+from bodylog.settings import BodySettings, Settings
 
 NAMES = ("pan", "lift")
 Q = np.array([[0.1, -0.2], [3.1, 0.3], [-3.1, 0.4]])
@@ -70,21 +70,21 @@ def test_open_reads_parquet_and_yaml_as_csv(table, tmp_path):
 
 def test_open_uses_a_column_of_times(tmp_path):
     path = _csv(tmp_path, "unix_s,pan", "1400834744.5,0.1", "1400834748.25,0.2")
-    read_ = recording.read(path, Settings())
+    read_ = recording.read_recording(path, Settings())
     assert read_.joints is not None and read_.start_ns == 1400834744500000000
     np.testing.assert_allclose(read_.joints.t, [0, 3.75])
     path = _csv(tmp_path, "stamp_ms,pan", "0,0.1", "500,0.2")
-    assert recording.read(path, Settings()).joints.t.tolist() == [0.0, 0.5]
+    assert recording.read_recording(path, Settings()).joints.t.tolist() == [0.0, 0.5]
     for times in (("5", "5"), ("1", ""), ("1", "1e6")):
         path = _csv(tmp_path, "t,pan", f"{times[0]},0.1", f"{times[1]},0.2")
-        assert recording.read(path, Settings()).joints.t.tolist() == [0.0, 1.0]
+        assert recording.read_recording(path, Settings()).joints.t.tolist() == [0.0, 1.0]
         assert "t is the row's number" in _texts(path)
 
 
 def test_poses_skip_columns_that_are_not_joints(tmp_path):
     header = "id;frame_index;arm_x;arm_y;arm_z;base_qx;base_qy;base_qz;base_qw;left_U;tip_u;pan;void"
     path = _csv(tmp_path, header, "1;2;3;4;5;0;0;0;1;0.7;5;0.2;", "2;2;3;4;5;0;0;0;1;0.8;5;0.3;")
-    found = poses(read(path, "csv"), str(path))
+    found = assign_column_roles(read_table_file(path, "csv"), str(path))
     assert list(found.joints) == ["left_U", "pan"] and not found.tracks
     assert found.notes[-1].startswith("columns not used: id, frame_index, arm_x")
 
@@ -92,13 +92,13 @@ def test_poses_skip_columns_that_are_not_joints(tmp_path):
 def test_open_reports_and_converts_degrees(tmp_path):
     path = _csv(tmp_path, "pan", "-90", "0", "90")
     assert 'type: [body] unit = "deg"' in _texts(path)
-    found = recording.read(path, Settings(body=Body(unit="deg"))).joints.values
+    found = recording.read_recording(path, Settings(body=BodySettings(unit="deg"))).joints.values
     np.testing.assert_allclose(found[:, 0], [-np.pi / 2, 0, np.pi / 2])
 
 
 def test_open_counts_bad_cells_and_rows(tmp_path):
     path = _csv(tmp_path, "pan,lift", "0.1,0.2", "0.2,oops", "0.3,1e999", "0.4,0.1,7", "0.5", "0.6,0.3", "0.7,0.2")
-    found = recording.read(path, Settings())
+    found = recording.read_recording(path, Settings())
     assert found.joints.values.shape == (6, 2) and np.isnan(found.joints.values[:, 1]).sum() == 3
     lines = _texts(path)
     assert "column lift: 2 cells are not finite numbers, e.g. 'oops'" in lines
@@ -157,7 +157,7 @@ def test_open_refuses_other_tables_in_one_line(tmp_path, text, lines):
     path = tmp_path / "poses.csv"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(InputError, match=lines) as caught:
-        recording.read(path, Settings())
+        recording.read_recording(path, Settings())
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
 
 
@@ -186,7 +186,7 @@ def test_a_unit_of_joints_does_not_convert_coordinates_of_a_frame(tmp_path):
     ))  # fmt: skip
     given = Settings()
     in_degrees = replace(given, body=replace(given.body, unit="deg"))
-    plain, converted = (recording.read(path, one).joints for one in (given, in_degrees))
+    plain, converted = (recording.read_recording(path, one).joints for one in (given, in_degrees))
     assert plain is not None and converted is not None and plain.unit == converted.unit == "rad"
     np.testing.assert_array_equal(converted.values, plain.values)
     np.testing.assert_allclose(plain.values[:, 0], [0.1, 0.2, 0.3, 0.4])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.formats import open_log, payload_views
 from bodylog.logs.mcap import prefetch
 
 
@@ -25,9 +25,9 @@ def test_prefetch_is_independent_of_processors(tmp_path: Path, monkeypatch: pyte
     path.write_bytes(raw)
     read = {}
     for processors in (1, 2):
-        monkeypatch.setattr(prefetch, "_processors", lambda count=processors: count)
+        monkeypatch.setattr(prefetch, "_count_processors", lambda count=processors: count)
         with open_log(path) as log:
-            found = [(b.log_ns.tolist(), [bytes(p) for p in payloads(b)]) for b in log.batches()]
+            found = [(b.log_ns.tolist(), [bytes(p) for p in payload_views(b)]) for b in log.batches()]
             read[processors] = found, log.findings
     assert read[1] == read[2]
     assert sum(len(times) for times, _ in read[1][0]) < 400 and read[1][1]

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.annotating.annotate import annotate, write
-from bodylog.annotating.estimate_metadata import describe
+from bodylog.annotating.annotate import annotate_log, write_annotations
+from bodylog.annotating.estimate_metadata import describe_estimate
 from bodylog.annotating.messages import from_estimate, from_features
 from bodylog.annotating.read_back import FAULT_DOUBTS, read_estimate, read_features, read_metadata
 from bodylog.errors import FormatError, LogError
@@ -15,7 +15,7 @@ from .written import START, found, source
 
 def log_of(path, features, estimate):
     outgoing = from_features(features, START) + from_estimate(estimate, features, START)
-    write(outgoing, {"version": "1", **describe(estimate)}, path)
+    write_annotations(outgoing, {"version": "1", **describe_estimate(estimate)}, path)
     return path
 
 
@@ -52,8 +52,8 @@ def test_read_estimate_reads_faults_without_std(tmp_path, monkeypatch):
 
     text = schemas._PARTS["bodylog_msgs/Fault"]
     monkeypatch.setitem(schemas._PARTS, "bodylog_msgs/Fault", text.partition("float64 std\n")[0])
-    plain = messages.cdr.serialise
-    monkeypatch.setattr(messages.cdr, "serialise", lambda count, fields: plain(count, _without_doubts(fields)))
+    plain = messages.cdr.serialise_messages
+    monkeypatch.setattr(messages.cdr, "serialise_messages", lambda count, fields: plain(count, _without_fault_scores(fields)))
     features, estimate = found()
     path = log_of(tmp_path / "log.mcap", features, estimate)
     monkeypatch.undo()
@@ -62,10 +62,10 @@ def test_read_estimate_reads_faults_without_std(tmp_path, monkeypatch):
     assert again.faults == tuple(replace(fault, **unknown) for fault in estimate.faults)
 
 
-def _without_doubts(fields):
-    doubts = len(FAULT_DOUBTS)
-    kinds = [kind for kind, _ in fields[-doubts - 2 :]]
-    return fields[:-doubts] if kinds == ["float64", "string", *["float64"] * doubts] else fields
+def _without_fault_scores(fields):
+    score_count = len(FAULT_DOUBTS)
+    kinds = [kind for kind, _ in fields[-score_count - 2 :]]
+    return fields[:-score_count] if kinds == ["float64", "string", *["float64"] * score_count] else fields
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -88,7 +88,7 @@ def test_read_features_returns_what_was_written(tmp_path, seed):
 def test_read_back_names_the_log_of_a_damaged_definition(tmp_path, old, new):
     features, estimate = found()
     outgoing = [replace(o, definition=o.definition.replace(old, new)) for o in from_features(features, START)]
-    write(outgoing, describe(estimate), tmp_path / "log.mcap")
+    write_annotations(outgoing, describe_estimate(estimate), tmp_path / "log.mcap")
     with open_log(tmp_path / "log.mcap") as log, pytest.raises(FormatError, match=r"log\.mcap: .*bodylog_msgs"):
         read_features(log, START)
 
@@ -96,7 +96,7 @@ def test_read_back_names_the_log_of_a_damaged_definition(tmp_path, old, new):
 def test_read_features_keeps_synchrony_of_simultaneous_touches(tmp_path):
     features, _ = found()
     touches = tuple(replace(touch, onset=1.0, offset=1.5) for touch in features.touches)
-    write(from_features(replace(features, touches=touches), START), {}, tmp_path / "log.mcap")
+    write_annotations(from_features(replace(features, touches=touches), START), {}, tmp_path / "log.mcap")
     with open_log(tmp_path / "log.mcap") as log:
         again = read_features(log, START)
     assert [(s.touch, s.weight) for s in again.synchrony] == [(i, 0.2 * i) for i in range(4)]
@@ -105,7 +105,7 @@ def test_read_features_keeps_synchrony_of_simultaneous_touches(tmp_path):
 @pytest.mark.parametrize("touches", [None, ()])
 def test_read_features_distinguishes_no_skin_from_no_touch(tmp_path, touches):
     features, _ = found()
-    write(from_features(replace(features, touches=touches, synchrony=()), START), {}, tmp_path / "log.mcap")
+    write_annotations(from_features(replace(features, touches=touches, synchrony=()), START), {}, tmp_path / "log.mcap")
     with open_log(tmp_path / "log.mcap") as log:
         assert read_features(log, START).touches == touches
 
@@ -122,7 +122,7 @@ def test_read_features_keeps_unknown_std_unknown(tmp_path):
 
 
 def test_read_metadata_returns_what_was_written(tmp_path):
-    write([], {"version": "1", "settings": '{"a": 1}'}, tmp_path / "log.mcap")
+    write_annotations([], {"version": "1", "settings": '{"a": 1}'}, tmp_path / "log.mcap")
     assert read_metadata(tmp_path / "log.mcap") == {"version": "1", "settings": '{"a": 1}'}
 
 
@@ -137,7 +137,7 @@ def test_read_estimate_advises_what_to_type(tmp_path):
 
 def test_read_estimate_refuses_features_alone(tmp_path):
     features, _ = found()
-    annotate(source(tmp_path / "in.mcap"), from_features(features, START), {}, tmp_path / "out.mcap")
+    annotate_log(source(tmp_path / "in.mcap"), from_features(features, START), {}, tmp_path / "out.mcap")
     with pytest.raises(LogError, match="no /bodylog/ topics of an estimate"):
         read_estimate(tmp_path / "out.mcap", START)
 
@@ -150,7 +150,7 @@ def test_read_estimate_refuses_inconsistent_topics(tmp_path, lacking):
         replace(o, log_ns=o.log_ns[1:], offset=o.offset[1:], length=o.length[1:]) if o.topic.endswith(lacking) else o
         for o in outgoing
     ]
-    write(broken, {}, tmp_path / "log.mcap")
+    write_annotations(broken, {}, tmp_path / "log.mcap")
     with pytest.raises(LogError, match=f"/bodylog/{lacking} does not go with /bodylog/joint_states"):
         read_estimate(tmp_path / "log.mcap", START)
 
@@ -167,6 +167,6 @@ DAMAGE = [{"used": '{"touch": {"sen": 1}}'}, {"findings": "["}, {"resolved": "3"
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_read_metadata_reports_damage(tmp_path, damage):
     features, estimate = found()
-    write(from_estimate(estimate, features, START), {**describe(estimate), **damage}, tmp_path / "log.mcap")
+    write_annotations(from_estimate(estimate, features, START), {**describe_estimate(estimate), **damage}, tmp_path / "log.mcap")
     with pytest.raises(LogError, match=r"the metadata record bodylog is damaged \(.*\); type: bodylog estimate"):
         read_estimate(tmp_path / "log.mcap", START)

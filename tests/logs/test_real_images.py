@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import BodylogError, FormatError
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.formats import open_log, payload_views
 from bodylog.logs.images import messages
 from bodylog.logs.protocol import Log
 from bodylog.types import Array, Topic
@@ -41,7 +41,7 @@ def _first(log: Log, topic: Topic) -> tuple[bytes, Any] | None:
     batch = next(iter(log.batches([topic.id])), None)
     if batch is None or topic.encoding not in ("cdr", "ros1"):
         return None
-    payload = bytes(next(iter(payloads(batch))))
+    payload = bytes(next(iter(payload_views(batch))))
     if topic.encoding == "ros1":
         return payload, get_typestore(Stores.ROS1_NOETIC).deserialize_ros1(payload, topic.type)
     return payload, get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(payload, topic.type)
@@ -50,7 +50,7 @@ def _first(log: Log, topic: Topic) -> tuple[bytes, Any] | None:
 def _compared(peer: Any, topic: Topic, payload: bytes, message: Any) -> set[str]:
     """The encoding, if both give the same image; empty if both refuse it."""
     try:
-        ours: Array = messages.decoder(topic)(payload, 1)
+        ours: Array = messages.make_image_decoder(topic)(payload, 1)
     except FormatError:
         with pytest.raises((AssertionError, TypeError)):
             peer.message_to_cvimage(message, "bgr8")

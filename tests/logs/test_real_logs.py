@@ -10,13 +10,13 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bodylog.errors import BodylogError
-from bodylog.logs.decode.columns import columns, definition_of
+from bodylog.logs.decode.columns import read_topic_columns, definition_of
 from bodylog.logs.decode.definitions import PRIMITIVES, TEXTS, TIMES, Definition
-from bodylog.logs.decode.parts import Columns
-from bodylog.logs.formats import open_log, payloads
-from bodylog.logs.images.messages import COMPRESSED, RAW, decoder
-from bodylog.recording.facts import info
-from bodylog.recording.recording import read
+from bodylog.logs.decode.parts import TopicColumns
+from bodylog.logs.formats import open_log, payload_views
+from bodylog.logs.images.messages import COMPRESSED, RAW, make_image_decoder
+from bodylog.recording.facts import describe_log
+from bodylog.recording.recording import read_recording
 from bodylog.settings import Settings
 from bodylog.types import Topic
 
@@ -39,7 +39,7 @@ CONFORMANCE = [name for name in listed() if name.startswith("foxglove__mcap/")]
 @pytest.mark.parametrize("name", FILES)
 def test_info_gives_facts_or_one_line(name):
     try:
-        found = info(LOGS / name, Settings())
+        found = describe_log(LOGS / name, Settings())
     except BodylogError as error:
         assert str(error).startswith(str(LOGS / name)) and "\n" not in str(error)
     else:
@@ -49,7 +49,7 @@ def test_info_gives_facts_or_one_line(name):
 
 def test_info_of_the_conformance_files():
     for name in CONFORMANCE:
-        assert info(LOGS / name, Settings())["joints"] == []
+        assert describe_log(LOGS / name, Settings())["joints"] == []
 
 
 @pytest.mark.parametrize(
@@ -64,13 +64,13 @@ def test_info_of_the_conformance_files():
     ],
 )
 def test_info_finds_joints(name, topic, count, first):
-    found = info(LOGS / name, Settings())
+    found = describe_log(LOGS / name, Settings())
     assert (found["roles"]["joints"], len(found["joints"])) == (topic, count)
     assert first is None or found["joints"][0] == first
 
 
 def test_read_handles_simulated_stamps():
-    got = read(LOGS / "vbarcena2020__abitobot/rosbag/rosbag2_2025_05_09-18_01_02_0.mcap", Settings())
+    got = read_recording(LOGS / "vbarcena2020__abitobot/rosbag/rosbag2_2025_05_09-18_01_02_0.mcap", Settings())
     assert got.joints is not None
     assert (got.joints.values.shape, got.start_ns) == ((1866, 10), 101_550_000_000)
     np.testing.assert_allclose(np.diff(got.joints.t), 0.05, atol=1e-9)
@@ -94,7 +94,7 @@ def pictures(name: str) -> Iterator[tuple[Topic, bytes]]:
     with open_log(LOGS / name) as log:
         for topic in log.topics:
             if topic.type in COMPRESSED + RAW:
-                yield from ((topic, bytes(p)) for batch in log.batches([topic.id]) for p in payloads(batch))
+                yield from ((topic, bytes(p)) for batch in log.batches([topic.id]) for p in payload_views(batch))
 
 
 def test_decoder_decodes_every_image_at_every_scale():
@@ -102,9 +102,9 @@ def test_decoder_decodes_every_image_at_every_scale():
         found = list(pictures(name))
         assert len(found) == count, name
         for topic, payload in found:
-            whole = decoder(topic)(payload, 1)
+            whole = make_image_decoder(topic)(payload, 1)
             for k in (2, 4, 8):
-                assert decoder(topic)(payload, k).shape == (-(-whole.shape[0] // k), -(-whole.shape[1] // k), 3)
+                assert make_image_decoder(topic)(payload, k).shape == (-(-whole.shape[0] // k), -(-whole.shape[1] // k), 3)
 
 
 def test_image_files_are_all_listed():
@@ -120,7 +120,7 @@ def test_image_files_are_all_listed():
 
 
 def test_frames_show_the_moving_disc():
-    got = read(LOGS / "gagalo123__mcap-explorer/examples/demo.mcap", Settings())
+    got = read_recording(LOGS / "gagalo123__mcap-explorer/examples/demo.mcap", Settings())
     assert got.frames is not None
     places = []
     for frame in got.frames():
@@ -181,7 +181,7 @@ def comparable() -> list[tuple[str, Topic]]:
     return found
 
 
-def compare(got: Columns, messages: dict[int, Any], fields: list[str]) -> None:
+def compare(got: TopicColumns, messages: dict[int, Any], fields: list[str]) -> None:
     assert set(messages) <= set(got.sound.tolist()), got.rejected
     for part in got.parts:
         for place, row in enumerate(part.rows.tolist()):
@@ -196,7 +196,7 @@ def compare(got: Columns, messages: dict[int, Any], fields: list[str]) -> None:
 def check_topic(name: str, topic: Topic) -> int:
     """How many messages of a topic were compared; 0 if rosbags cannot read it."""
     with open_log(LOGS / name) as log:
-        raw = [bytes(p) for batch in log.batches([topic.id]) for p in payloads(batch)]
+        raw = [bytes(p) for batch in log.batches([topic.id]) for p in payload_views(batch)]
         try:
             store = typestore(topic)
             decode = store.deserialize_ros1 if topic.encoding == "ros1" else store.deserialize_cdr
@@ -206,7 +206,7 @@ def check_topic(name: str, topic: Topic) -> int:
             return 0
         definition = definition_of(topic)
         fields = list(leaves(definition, definition.root))
-        compare(columns(log, topic, fields), messages, fields)
+        compare(read_topic_columns(log, topic, fields), messages, fields)
         return len(messages)
 
 
@@ -219,7 +219,7 @@ def test_columns_equal_rosbags_for_every_field():
 
 
 def test_read_is_the_same_in_three_containers():
-    bag, rosbag2 = (read(LOGS / "arm" / name, Settings()) for name in ("reach.bag", "reach_rosbag2"))
+    bag, rosbag2 = (read_recording(LOGS / "arm" / name, Settings()) for name in ("reach.bag", "reach_rosbag2"))
     assert (bag.start_ns, bag.duration_s) == (rosbag2.start_ns, rosbag2.duration_s)
     for role in ("joints", "skin", "truth"):
         one, other = getattr(bag, role), getattr(rosbag2, role)
@@ -234,7 +234,7 @@ def test_read_is_the_same_in_three_containers():
 
 @pytest.mark.parametrize("name", ["explore.mcap", "reach.mcap", "reach.bag", "drift.mcap", "touch.mcap"])
 def test_read_gives_the_published_arm_positions(name):
-    got = read(LOGS / "arm" / name, Settings())
+    got = read_recording(LOGS / "arm" / name, Settings())
     made = np.load(LOGS / "arm" / f"{name}.truth.npz")
     assert got.joints is not None and got.truth is not None and got.frames is not None and got.skin is not None
     assert sorted(got.joints.names) == sorted(got.truth.names)

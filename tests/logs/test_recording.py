@@ -13,10 +13,10 @@ import pytest
 
 from bodylog.errors import BodylogError, ConfigError, FormatError, LogError
 from bodylog.logs.mcap import prefetch
-from bodylog.recording.facts import info
-from bodylog.recording.recording import read
-from bodylog.settings import Body, Settings, Time, Topics
-from bodylog.types import Frame
+from bodylog.recording.facts import describe_log
+from bodylog.recording.recording import read_recording
+from bodylog.settings import BodySettings, Settings, TimeSettings, TopicSettings
+from bodylog.types import LazyImage
 
 from .writing import T0, Stream, camera, cdr, compressed, define, header, joint_state, joints, register, write
 
@@ -48,7 +48,7 @@ def settings(**sections: Any) -> Settings:
 def test_read_uses_header_or_log_time(tmp_path):
     skin = np.linspace(0, 1, 60).reshape(20, 3)
     log = write(tmp_path / "a.mcap", [joints("/joint_states", moves(10)), arrays("/skin", skin)])
-    got = read(log, PLAIN)
+    got = read_recording(log, PLAIN)
     assert (got.name, got.format, got.start_ns) == ("a.mcap", "mcap", T0)
     assert got.joints is not None and got.skin is not None and got.truth is None and got.frames is None
     np.testing.assert_array_equal(got.joints.t, np.arange(10) * 20 * MS / 1e9)
@@ -64,28 +64,28 @@ def test_read_uses_header_or_log_time(tmp_path):
 def test_read_orders_joints_by_name(tmp_path):
     turned = moves(10, ("elbow", "wrist", "shoulder"))
     log = write(tmp_path / "a.mcap", [joints("/j", [*moves(10)[:5], *turned[5:]])])
-    got = read(log, PLAIN).joints
+    got = read_recording(log, PLAIN).joints
     assert got is not None and got.names == NAMES
     np.testing.assert_allclose(got.values, np.arange(10.0)[:, None] + [0, 0.1, 0.2], atol=1e-15)
-    chosen = read(log, settings(body=Body(joints=("wrist", "shoulder")))).joints
+    chosen = read_recording(log, settings(body=BodySettings(joints=("wrist", "shoulder")))).joints
     assert chosen is not None and chosen.names == ("wrist", "shoulder")
     np.testing.assert_allclose(chosen.values, np.arange(10.0)[:, None] + [0.2, 0], atol=1e-15)
 
 
 def test_read_prefers_the_arm_to_its_gripper(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/a_gripper", moves(12, ("finger",))), joints("/arm", moves(10))])
-    assert read(log, PLAIN).roles == {"joints": "/arm", "joints/a_gripper": "/a_gripper"}
+    assert read_recording(log, PLAIN).roles == {"joints": "/arm", "joints/a_gripper": "/a_gripper"}
 
 
 def test_read_merges_joints_of_equal_stamps(tmp_path):
     arm, hand = ("shoulder", "elbow"), ("wrist",)
     alternating = [(arm, hand)[i % 2] for i in range(6)]
     rows = [m for i, names in enumerate(alternating) for m in moves(6, names)[i : i + 1]]
-    got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
+    got = read_recording(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
     assert got.joints is not None and got.joints.names == NAMES
     np.testing.assert_array_equal(np.isnan(got.joints.values[:, 2]), [True, False] * 3)
     both = [m for pair in zip(moves(6, arm), moves(6, hand), strict=True) for m in pair]
-    got = read(write(tmp_path / "b.mcap", [joints("/j", both)]), PLAIN)
+    got = read_recording(write(tmp_path / "b.mcap", [joints("/j", both)]), PLAIN)
     assert got.joints is not None and not np.isnan(got.joints.values).any()
     assert len(got.joints.t) == 6
     assert (got.health["/j"].seen, got.health["/j"].used) == (12, 12)
@@ -95,13 +95,13 @@ def test_read_needs_names_for_nameless_joints(tmp_path):
     rows = [(t, joint_state(t, (), (1.0, 2.0, 3.0))) for t, _ in moves(4)]
     log = write(tmp_path / "a.mcap", [joints("/j", rows)])
     with pytest.raises(LogError, match=r"a.mcap: /j: the 3 joints have no names; type in robot.toml: \[body\] joints"):
-        read(log, PLAIN)
+        read_recording(log, PLAIN)
     with pytest.raises(LogError, match="names 2; name all 3"):
-        read(log, settings(body=Body(joints=("a", "b"))))
-    got = read(log, settings(body=Body(joints=NAMES))).joints
+        read_recording(log, settings(body=BodySettings(joints=("a", "b"))))
+    got = read_recording(log, settings(body=BodySettings(joints=NAMES))).joints
     assert got is not None and got.names == NAMES
     assert got.values.tolist() == [[1, 2, 3]] * 4
-    wanted = info(log, PLAIN)
+    wanted = describe_log(log, PLAIN)
     assert wanted["roles"] == {"joints": "/j"}
     assert wanted["joints"] == [] and any("have no names" in f["text"] for f in wanted["findings"])
 
@@ -109,13 +109,13 @@ def test_read_needs_names_for_nameless_joints(tmp_path):
 def test_read_lists_joints_for_an_unknown_one(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
     with pytest.raises(LogError, match="'knee'; the log has elbow, shoulder, wrist"):
-        read(log, settings(body=Body(joints=("elbow", "knee"))))
+        read_recording(log, settings(body=BodySettings(joints=("elbow", "knee"))))
 
 
 def test_read_converts_degrees(tmp_path):
     truth = [(t, joint_state(t, NAMES, (90.0, 0.0, -180.0))) for t, _ in moves(3)]
     log = write(tmp_path / "a.mcap", [joints("/j", truth), joints("/truth", truth)])
-    got = read(log, settings(body=Body(unit="deg")))
+    got = read_recording(log, settings(body=BodySettings(unit="deg")))
     assert got.joints is not None and got.truth is not None
     np.testing.assert_allclose(got.joints.values, [[np.pi / 2, 0, -np.pi]] * 3)
     np.testing.assert_array_equal(got.truth.values, got.joints.values)
@@ -126,7 +126,7 @@ def test_read_unwraps_joints(tmp_path):
     turned = (angle + np.pi) % (2.0 * np.pi) - np.pi
     times = T0 + 20 * MS * np.arange(60)
     wrapped = [(int(t), joint_state(int(t), NAMES, [0.1, a, -0.2])) for t, a in zip(times, turned, strict=True)]
-    found = read(write(tmp_path / "a.mcap", [joints("/joint_states", wrapped)]), settings())
+    found = read_recording(write(tmp_path / "a.mcap", [joints("/joint_states", wrapped)]), settings())
     assert found.joints is not None
     np.testing.assert_allclose(found.joints.values[:, 1], angle, atol=1e-12)
     assert any("wraps around, 1 times" in f.text and NAMES[1] in f.text for f in found.findings)
@@ -136,7 +136,7 @@ def test_read_handles_stamps_after_2038(tmp_path):
     begin = 4_102_444_800 * 10**9
     moved = [begin + k * 20 * MS for k in range(9)]
     rows = [(ns, joint_state(ns - 2**32 * 10**9, NAMES, [0.1, 0.2, 0.3])) for ns in moved]  # sec is int32
-    found = read(write(tmp_path / "a.mcap", [joints("/joint_states", rows)]), settings())
+    found = read_recording(write(tmp_path / "a.mcap", [joints("/joint_states", rows)]), settings())
     assert found.start_ns == begin and found.joints is not None
     np.testing.assert_allclose(found.joints.t, np.arange(9) * 0.02)
 
@@ -146,7 +146,7 @@ def test_read_rejects_impossible_readings(tmp_path):
     for k in range(40):
         wanted = [0.1, 1e300 if k == 5 else -1e18 if k == 9 else 0.01 * k, 0.2]
         rows.append((T0 + k * 20 * MS, joint_state(T0 + k * 20 * MS, NAMES, wanted)))
-    found = read(write(tmp_path / "a.mcap", [joints("/joint_states", rows)]), settings())
+    found = read_recording(write(tmp_path / "a.mcap", [joints("/joint_states", rows)]), settings())
     assert found.joints is not None
     assert np.flatnonzero(np.isnan(found.joints.values[:, 1])).tolist() == [5, 9]
     assert any("2 readings beyond 1e+09" in f.text for f in found.findings)
@@ -154,17 +154,17 @@ def test_read_rejects_impossible_readings(tmp_path):
 
 def test_read_drops_a_joint_named_twice(tmp_path):
     rows = [(T0 + MS * i, joint_state(T0 + MS * i, ("a", "b", "a"), (0.1 * i, 0.2 * i, 0.3 * i))) for i in range(9)]
-    got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
+    got = read_recording(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
     assert got.joints is not None and got.joints.names == ("b",)
     np.testing.assert_allclose(got.joints.values[:, 0], 0.2 * np.arange(9))
     rows = [(T0 + MS * i, joint_state(T0 + MS * i, ("a", "a"), (0.1, 0.2))) for i in range(9)]
-    got = read(write(tmp_path / "b.mcap", [joints("/j", rows)]), PLAIN)
+    got = read_recording(write(tmp_path / "b.mcap", [joints("/j", rows)]), PLAIN)
     assert got.joints is None and any("9 (every joint is named more than once)" in f.text for f in got.findings)
 
 
 def test_read_orders_truth_like_the_joints(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(5)), joints("/truth", moves(5, ("wrist", "elbow")))])
-    got = read(log, settings(body=Body(joints=("elbow", "shoulder"))))
+    got = read_recording(log, settings(body=BodySettings(joints=("elbow", "shoulder"))))
     assert got.joints is not None and got.truth is not None
     assert (got.joints.names, got.truth.names) == (("elbow", "shoulder"), ("elbow",))
 
@@ -178,7 +178,7 @@ def test_read_accounts_for_every_message(tmp_path):
         (T0 + 32 * MS, joint_state(0, NAMES, (1.0, 2.0, 3.0))),
         (T0 + 33 * MS, good[7][1]),
     ]
-    got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
+    got = read_recording(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
     reasons = {"malformed": 1, "no positions": 1, "time years away": 1, "same stamp again": 1}
     health = got.health["/j"]
     assert (health.seen, health.used, dict(health.rejected)) == (44, 40, reasons)
@@ -189,9 +189,9 @@ def test_read_accounts_for_every_message(tmp_path):
 
 def test_read_refuses_missing_cells(tmp_path):
     log = write(tmp_path / "a.mcap", [arrays("/skin", np.full((10, 2), 0.1)), joints("/j", moves(5))])
-    assert read(log, settings(topics=Topics(skin="/skin.data[1]"))).skin is not None
+    assert read_recording(log, settings(topics=TopicSettings(skin="/skin.data[1]"))).skin is not None
     with pytest.raises(LogError, match=r"no usable message on /skin: 10 \(no number in it\)"):
-        read(log, settings(topics=Topics(skin="/skin.data[9]")))
+        read_recording(log, settings(topics=TopicSettings(skin="/skin.data[9]")))
 
 
 def test_frames_are_in_time_order(tmp_path):
@@ -201,7 +201,7 @@ def test_frames_are_in_time_order(tmp_path):
     near = np.argsort(np.arange(len(rows)) + rng.uniform(0, 6, len(rows)))
     streams = [camera("/cam", [rows[i] for i in near]), joints("/j", moves(5))]
     log = write(tmp_path / "a.mcap", streams, in_order=False, chunk=700)
-    got = read(log, PLAIN)
+    got = read_recording(log, PLAIN)
     assert got.frames is not None
     for _ in range(2):
         frames = list(got.frames())
@@ -217,7 +217,7 @@ def test_frames_are_streamed(tmp_path):
     peaks = []
     for count in (100, 100, 500):
         rows = [(T0 + 40 * MS * i, compressed(T0 + 40 * MS * i, noise)) for i in range(count)]
-        frames = read(write(tmp_path / "a.mcap", [camera("/cam", rows)], chunk=1 << 16), PLAIN).frames
+        frames = read_recording(write(tmp_path / "a.mcap", [camera("/cam", rows)], chunk=1 << 16), PLAIN).frames
         assert frames is not None
         tracemalloc.start()
         assert sum(1 for _ in frames()) == count
@@ -233,7 +233,7 @@ class _Consumer:
         self.shades: list[int] = []
         self.ended: list[object] = []
 
-    def __call__(self, frame: Frame) -> None:
+    def __call__(self, frame: LazyImage) -> None:
         self.shades.append(int(frame.image[0, 0, 0]))
 
     def __enter__(self) -> "_Consumer":
@@ -246,7 +246,7 @@ class _Consumer:
 def _consumed_and_read_again(log: Path, wanted: Settings = PLAIN) -> _Consumer:
     """Assert that the consumer gets the same frames that are read afterwards."""
     consumer = _Consumer()
-    got, plain = read(log, wanted, consumer=lambda: consumer), read(log, wanted)
+    got, plain = read_recording(log, wanted, consumer=lambda: consumer), read_recording(log, wanted)
     assert (
         got.consumed is not None and got.consumed.by is consumer and plain.consumed is None and consumer.ended == [None]
     )
@@ -278,7 +278,7 @@ def test_frame_tap_merges_two_types_of_one_camera(tmp_path):
     kind = "sensor_msgs/msg/CompressedImage"
     other = Stream("/cam", kind, define(kind) + b"\n# a later version", [(t, compressed(t, s)) for t, s in shades[:5]])
     log = write(tmp_path / "a.mcap", [first, other, joints("/j", moves(10))], chunk=700)
-    assert len([topic for topic in read(log, PLAIN).topics if topic.name == "/cam"]) == 2
+    assert len([topic for topic in read_recording(log, PLAIN).topics if topic.name == "/cam"]) == 2
     assert sorted(_consumed_and_read_again(log).shades) == list(range(0, 100, 10))
 
 
@@ -287,15 +287,15 @@ def test_read_uses_no_consumer_without_a_camera(tmp_path):
     image = camera("/cam", [(T0, compressed(T0, np.zeros((8, 8, 3), np.uint8)))])
     ours = write(tmp_path / "b.mcap", [joints("/j", moves(3)), arrays("/bodylog/x", np.ones((3, 2))), image])
     for log in (never, ours):
-        assert read(log, PLAIN, consumer=lambda: pytest.fail("got an image")).consumed is None
+        assert read_recording(log, PLAIN, consumer=lambda: pytest.fail("got an image")).consumed is None
 
 
 def test_read_decompresses_each_chunk_once(tmp_path, monkeypatch):
     noise = np.random.default_rng(1).integers(0, 256, (80, 80, 3), np.uint8)
     unpacked = []
-    whole = prefetch.unpack
+    whole = prefetch.unpack_chunk
     monkeypatch.setattr(
-        prefetch, "unpack", lambda data, chunk, to: unpacked.append(chunk.start) or whole(data, chunk, to)
+        prefetch, "unpack_chunk", lambda data, chunk, to: unpacked.append(chunk.start) or whole(data, chunk, to)
     )
     peaks = []
     for count in (100, 100, 500):
@@ -304,7 +304,7 @@ def test_read_decompresses_each_chunk_once(tmp_path, monkeypatch):
         consumer = _Consumer()
         unpacked.clear()
         tracemalloc.start()
-        assert read(log, PLAIN, consumer=lambda consumer=consumer: consumer).consumed is not None
+        assert read_recording(log, PLAIN, consumer=lambda consumer=consumer: consumer).consumed is not None
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         assert len(consumer.shades) == count and len(unpacked) == len(set(unpacked)) > count / 20
@@ -317,7 +317,7 @@ def test_read_passes_errors_to_the_consumer(tmp_path):
     log = write(tmp_path / "a.mcap", [pictures, Stream("/skin", kind, define(kind), [(T0, b"\0\1\0\0")])])
     consumer = _Consumer()
     with pytest.raises(LogError, match="no usable message on /skin"):
-        read(log, settings(topics=Topics(skin="/skin")), consumer=lambda: consumer)
+        read_recording(log, settings(topics=TopicSettings(skin="/skin")), consumer=lambda: consumer)
     assert consumer.ended == [LogError] and len(consumer.shades) == 3
 
 
@@ -325,24 +325,24 @@ def test_read_rejects_unreadable_images(tmp_path):
     image = np.zeros((8, 8, 3), np.uint8)
     depth = [(T0 + i * MS, compressed(T0 + i * MS, image, form="16UC1; compressedDepth png")) for i in range(3)]
     good = [(T0 + i * MS, compressed(T0 + i * MS, image)) for i in range(3, 8)]
-    got = read(write(tmp_path / "a.mcap", [camera("/cam", [*depth, *good])]), PLAIN)
+    got = read_recording(write(tmp_path / "a.mcap", [camera("/cam", [*depth, *good])]), PLAIN)
     assert dict(got.health["/cam"].rejected) == {"compressedDepth holds depth, not an image": 3}
     assert got.frames is not None and len(list(got.frames())) == 5
     only = write(tmp_path / "b.mcap", [camera("/cam", depth)])
-    assert read(only, PLAIN).frames is None
+    assert read_recording(only, PLAIN).frames is None
     with pytest.raises(LogError, match=r"no usable message on /cam: 3 \(compressedDepth"):
-        read(only, settings(topics=Topics(camera="/cam")))
+        read_recording(only, settings(topics=TopicSettings(camera="/cam")))
 
 
 def test_read_refuses_a_camera_topic_without_images(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
     with pytest.raises(LogError, match="but /j is sensor_msgs/msg/JointState; possible: none, the log has no other"):
-        read(log, settings(topics=Topics(camera="/j")))
+        read_recording(log, settings(topics=TopicSettings(camera="/j")))
 
 
 def test_read_ignores_one_message_at_time_zero(tmp_path):
     rows = [(0, joint_state(0, NAMES, (0.0, 0.0, 0.0))), *moves(50)]
-    got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
+    got = read_recording(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
     assert (got.start_ns, got.duration_s) == (T0, pytest.approx(0.98))
 
 
@@ -350,7 +350,7 @@ def test_read_aligns_simulated_stamps(tmp_path):
     wall = 1_600_000_000 * 10**9
     rows = [(wall + t, joint_state(t, NAMES, (1.0, 2.0, 3.0))) for t in range(5 * 10**9, 6 * 10**9, 20 * MS)]
     skin = arrays("/skin", np.ones((10, 3)), start=wall + 5 * 10**9 + 100 * MS)
-    got = read(write(tmp_path / "a.mcap", [joints("/j", rows), skin]), PLAIN)
+    got = read_recording(write(tmp_path / "a.mcap", [joints("/j", rows), skin]), PLAIN)
     assert got.start_ns == 5 * 10**9
     assert got.skin is not None
     np.testing.assert_allclose(got.skin.t, 0.1 + 0.01 * np.arange(10))
@@ -361,7 +361,7 @@ def test_read_aligns_a_boot_time_camera(tmp_path):
     boot = 300 * 10**9
     image = np.zeros((8, 8, 3), np.uint8)
     pictures = [(T0 + 40 * MS * i + 4 * MS, compressed(boot + 40 * MS * i, image)) for i in range(20)]
-    got = read(write(tmp_path / "a.mcap", [camera("/cam", pictures), joints("/j", moves(40))]), PLAIN)
+    got = read_recording(write(tmp_path / "a.mcap", [camera("/cam", pictures), joints("/j", moves(40))]), PLAIN)
     assert got.frames is not None
     np.testing.assert_allclose([frame.t for frame in got.frames()], 0.04 * np.arange(20), atol=1e-12)
     assert got.start_ns == T0 and got.duration_s == pytest.approx(0.78)
@@ -372,7 +372,7 @@ def test_read_merges_two_publishers(tmp_path):
     every, halves = moves(10), [joints("/j", moves(10)[0::2]), joints("/j", moves(10)[1::2])]
     shades = [(t, compressed(t, np.full((4, 4, 3), 10 * i, np.uint8))) for i, (t, _) in enumerate(every)]
     cameras = [camera("/cam", shades[0::2]), camera("/cam", shades[1::2])]
-    got = read(write(tmp_path / "a.mcap", [*halves, *cameras]), PLAIN)
+    got = read_recording(write(tmp_path / "a.mcap", [*halves, *cameras]), PLAIN)
     assert got.joints is not None and got.frames is not None
     np.testing.assert_array_equal(got.joints.values[:, 0], np.arange(10))
     assert [int(frame.image[0, 0, 0]) for frame in got.frames()] == [10 * i for i in range(10)]
@@ -381,10 +381,10 @@ def test_read_merges_two_publishers(tmp_path):
 
 def test_read_follows_the_clock_setting(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(5)), arrays("/skin", np.ones((10, 3)))])
-    got = read(log, settings(time=Time(joints="log")))
+    got = read_recording(log, settings(time=TimeSettings(joints="log")))
     assert got.start_ns == T0 + 4 * MS
     with pytest.raises(LogError, match=r'skin = "header", but /skin has no header; use "log" or "auto"'):
-        read(log, settings(time=Time(skin="header")))
+        read_recording(log, settings(time=TimeSettings(skin="header")))
 
 
 def test_read_takes_message_paths(tmp_path):
@@ -395,52 +395,52 @@ def test_read_takes_message_paths(tmp_path):
     ]
     text = b"std_msgs/Header header\nfloat32[3] angle\nint32 id\n"
     log = write(tmp_path / "a.mcap", [Stream("/servo", "crab_msgs/msg/Servo", text, rows)])
-    got = read(log, settings(topics=Topics(joints="/servo.angle[0:1]"), body=Body(joints=("a", "b"))))
+    got = read_recording(log, settings(topics=TopicSettings(joints="/servo.angle[0:1]"), body=BodySettings(joints=("a", "b"))))
     assert got.joints is not None
     assert got.joints.values.tolist() == [[i, 1] for i in range(4)]
-    assert read(log, settings(topics=Topics(skin="/servo.angle"))).skin is not None
+    assert read_recording(log, settings(topics=TopicSettings(skin="/servo.angle"))).skin is not None
     for wanted, why in (("angles", ".*has no field 'angles'; it has header, angle, id"), ("angle[0", ".*cannot read")):
         with pytest.raises(ConfigError, match=rf"a\.mcap: \[topics\] joints.*{why}"):
-            read(log, settings(topics=Topics(joints=f"/servo.{wanted}"), body=Body(joints=("a",))))
+            read_recording(log, settings(topics=TopicSettings(joints=f"/servo.{wanted}"), body=BodySettings(joints=("a",))))
 
 
 def test_read_rejects_arrays_of_another_length(tmp_path):
     odd = arrays("/skin", np.ones((1, 5)), start=T0 + 500 * MS)
     stream = arrays("/skin", np.ones((10, 3)))
     log = write(tmp_path / "a.mcap", [replace(stream, messages=[*stream.messages, *odd.messages])])
-    got = read(log, PLAIN)
+    got = read_recording(log, PLAIN)
     assert dict(got.health["/skin"].rejected) == {"5 values, not 3": 1}
 
 
 def test_read_guesses_skin_by_its_values(tmp_path):
     near = write(tmp_path / "a.mcap", [arrays("/values", np.linspace(0, 1, 30).reshape(10, 3))])
-    assert read(near, PLAIN).roles == {"skin": "/values.data"}
+    assert read_recording(near, PLAIN).roles == {"skin": "/values.data"}
     far = write(tmp_path / "b.mcap", [arrays("/values", np.linspace(0, 2, 30).reshape(10, 3))])
-    got = read(far, PLAIN)
+    got = read_recording(far, PLAIN)
     assert got.skin is None and got.roles == {}
     assert any("/values was considered, but has no usable message: 10 (values beyond" in f.text for f in got.findings)
-    named = read(far, settings(topics=Topics(skin="/values"))).skin
+    named = read_recording(far, settings(topics=TopicSettings(skin="/values"))).skin
     assert named is not None and named.values.max() == 2
     touching = write(tmp_path / "c.mcap", [arrays("/tactile", np.linspace(0, 2, 30).reshape(10, 3))])
-    assert read(touching, PLAIN).roles == {"skin": "/tactile.data"}
+    assert read_recording(touching, PLAIN).roles == {"skin": "/tactile.data"}
 
 
 def test_read_refuses_a_missing_configured_role(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
-    got = read(log, PLAIN)
+    got = read_recording(log, PLAIN)
     assert (got.skin, got.truth, got.frames, got.features) == (None, None, None, None)
     with pytest.raises(LogError, match=r'\[topics\] skin = "/skn"'):
-        read(log, settings(topics=Topics(skin="/skn")))
+        read_recording(log, settings(topics=TopicSettings(skin="/skn")))
 
 
 def test_read_accepts_an_empty_log(tmp_path):
-    got = read(write(tmp_path / "a.mcap", []), PLAIN)
+    got = read_recording(write(tmp_path / "a.mcap", []), PLAIN)
     assert (got.joints, got.duration_s, dict(got.roles)) == (None, 0, {})
 
 
 def test_read_refuses_a_file_that_is_not_a_log(tmp_path):
     with pytest.raises(LogError, match="there is no such file"):
-        read(tmp_path / "a.mcap", PLAIN)
+        read_recording(tmp_path / "a.mcap", PLAIN)
 
 
 def test_read_takes_a_video_as_camera(tmp_path):
@@ -450,38 +450,38 @@ def test_read_takes_a_video_as_camera(tmp_path):
         out.write(np.full((24, 32, 3), shade, np.uint8))
     out.release()
     log = write(tmp_path / "a.mcap", [joints("/j", moves(5))])
-    got = read(log, settings(topics=Topics(camera="cam.avi")))
+    got = read_recording(log, settings(topics=TopicSettings(camera="cam.avi")))
     assert got.frames is not None and got.roles["camera"] == "cam.avi"
     frames = list(got.frames())
     assert (got.health["cam.avi"].seen, got.health["cam.avi"].used) == (10, 10)
     np.testing.assert_allclose([f.t for f in frames], np.arange(10) / 10)
     assert np.abs([float(f.image.mean()) for f in frames] - np.array(shades)).max() < 4
     assert frames[0].decode(4).shape == (6, 8, 3)
-    later = settings(topics=Topics(camera="cam.avi", start=T0 / 1e9 + 2.5, rate=20.0))
-    shifted = read(log, later).frames
+    later = settings(topics=TopicSettings(camera="cam.avi", start=T0 / 1e9 + 2.5, rate=20.0))
+    shifted = read_recording(log, later).frames
     assert shifted is not None
     np.testing.assert_allclose([f.t for f in shifted()], 2.5 + np.arange(10) / 20)
     times = T0 / 1e9 + 0.5 + np.arange(10) / 10 + 0.03 * (np.arange(10) % 2)
     (tmp_path / "cam_timestamps.csv").write_text("\n".join(["unix_s", *(f"{t:.6f}" for t in times)]))
-    dated = read(log, settings(topics=Topics(camera="cam.avi"))).frames
+    dated = read_recording(log, settings(topics=TopicSettings(camera="cam.avi"))).frames
     assert dated is not None
     np.testing.assert_allclose([f.t for f in dated()], times - T0 / 1e9, atol=1e-6)
-    moved = read(log, settings(topics=Topics(camera="cam.avi", start=T0 / 1e9 + 2.5))).frames
+    moved = read_recording(log, settings(topics=TopicSettings(camera="cam.avi", start=T0 / 1e9 + 2.5))).frames
     assert moved is not None
     np.testing.assert_allclose([f.t for f in moved()], 2.5 + times - times[0], atol=1e-6)
     (tmp_path / "cam_timestamps.csv").write_text("unix_s\n1\n2\n")
     with pytest.raises(LogError, match=r"cam_timestamps.csv: 2 rows for the 10 frames of cam.avi"):
-        read(log, settings(topics=Topics(camera="cam.avi")))
+        read_recording(log, settings(topics=TopicSettings(camera="cam.avi")))
     with pytest.raises(LogError, match="no such file, here or beside the log"):
-        read(log, settings(topics=Topics(camera="gone.mp4")))
+        read_recording(log, settings(topics=TopicSettings(camera="gone.mp4")))
     (tmp_path / "no.mp4").write_bytes(b"not a video")
     with pytest.raises(LogError, match="no video: its first bytes"):
-        read(log, settings(topics=Topics(camera="no.mp4")))
+        read_recording(log, settings(topics=TopicSettings(camera="no.mp4")))
 
 
 def test_info_is_plain_and_complete(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(11)), camera("/cam", [])])
-    wanted = json.loads(json.dumps(info(log, PLAIN)))
+    wanted = json.loads(json.dumps(describe_log(log, PLAIN)))
     assert wanted["topics"] == [
         {"topic": "/cam", "type": "sensor_msgs/msg/CompressedImage", "messages": 0, "rate_hz": None},
         {"topic": "/j", "type": "sensor_msgs/msg/JointState", "messages": 11, "rate_hz": pytest.approx(50)},
@@ -503,14 +503,14 @@ def test_info_rates_use_the_topics_duration(tmp_path, folder):
             write(tmp_path / name, [replace(long, messages=messages), *([short] if name == "a_0.mcap" else [])])
     else:
         write(tmp_path / "a.mcap", [short, long], chunk=1000)
-    wanted = info(tmp_path if folder else tmp_path / "a.mcap", PLAIN)
+    wanted = describe_log(tmp_path if folder else tmp_path / "a.mcap", PLAIN)
     rates = {topic["topic"]: topic["rate_hz"] for topic in wanted["topics"]}
     assert rates == {"/brief": pytest.approx(20), "/long": pytest.approx(40)}
 
 
 def test_read_is_deterministic(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(9)), arrays("/skin", np.ones((9, 2)))])
-    one, two = read(log, PLAIN), read(Path(str(log)), PLAIN)
+    one, two = read_recording(log, PLAIN), read_recording(Path(str(log)), PLAIN)
     assert one.joints is not None and two.joints is not None
     assert one.joints.values.tobytes() == two.joints.values.tobytes()
     assert (one.health, one.findings) == (two.health, two.findings)
@@ -536,7 +536,7 @@ def test_read_survives_damage_anywhere(unguarded, tmp_path, seed):
         broken[rng.integers(8, len(broken), rng.integers(1, 6))] ^= rng.integers(1, 256, dtype=np.uint8)
         log.write_bytes(broken[: len(broken) if rng.random() < 0.7 else rng.integers(0, len(broken))].tobytes())
         try:
-            got = read(log, PLAIN)
+            got = read_recording(log, PLAIN)
             for frame in got.frames() if got.frames else ():
                 with contextlib.suppress(FormatError):
                     frame.decode(2)
@@ -550,7 +550,7 @@ def test_read_survives_damage_anywhere(unguarded, tmp_path, seed):
 
 def info_or_error(log: Path) -> str:
     try:
-        return json.dumps(info(log, PLAIN))
+        return json.dumps(describe_log(log, PLAIN))
     except BodylogError as error:
         return str(error)
 
@@ -563,7 +563,7 @@ def test_read_uses_each_cameras_stamps(tmp_path):
         stamps = [(T0 + first + i * every, np.full((8, 8, 3), shade, np.uint8)) for i, shade in enumerate(shades)]
         films.append(camera(topic, [(t + 20 * MS, compressed(t, image)) for t, image in stamps]))
     log = write(tmp_path / "a.mcap", [joints("/j", moves(20)), *films])
-    got = read(log, settings(topics=Topics(camera=tuple(shots))))
+    got = read_recording(log, settings(topics=TopicSettings(camera=tuple(shots))))
     assert got.frames is not None and list(got.views) == ["side"]
     assert (got.roles["camera"], got.roles["camera/side"]) == tuple(shots)
     for film, (first, shades) in zip((got.frames, got.views["side"]), shots.values(), strict=True):
@@ -571,23 +571,23 @@ def test_read_uses_each_cameras_stamps(tmp_path):
         np.testing.assert_allclose([f.t for f in frames], (first + every * np.arange(len(shades))) / 1e9)
         assert [int(f.image[0, 0, 0]) for f in frames] == list(shades)
     assert got.health["/side/image"].used == 8
-    assert not read(log, PLAIN).views
+    assert not read_recording(log, PLAIN).views
     silent = write(tmp_path / "b.mcap", [joints("/j", moves(20)), films[0], camera("/side/image", [])])
     with pytest.raises(LogError, match="no usable message on /side/image: it is empty"):
-        read(silent, settings(topics=Topics(camera=tuple(shots))))
+        read_recording(silent, settings(topics=TopicSettings(camera=tuple(shots))))
 
 
 def test_read_rejects_joints_with_falling_times(tmp_path):
     skin = arrays("/skin", np.linspace(0, 1, 60).reshape(20, 3))
     log = write(tmp_path / "a.mcap", [joints("/joint_states", moves(10)[::-1]), skin], in_order=False)
-    got = read(log, PLAIN)
+    got = read_recording(log, PLAIN)
     assert got.joints is None
     assert any("/joint_states" in f.text and "10 (time runs backwards)" in f.text for f in got.findings)
     with pytest.raises(LogError, match=r"/joint_states: 10 \(time runs backwards\)"):
-        read(log, settings(topics=Topics(joints="/joint_states")))
+        read_recording(log, settings(topics=TopicSettings(joints="/joint_states")))
 
 
 def test_read_sorts_a_reversed_file(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/joint_states", moves(10)[::-1])], in_order=False)
-    got = read(log, PLAIN)
+    got = read_recording(log, PLAIN)
     assert got.joints is not None and len(got.joints.t) == 10

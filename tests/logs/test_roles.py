@@ -5,10 +5,10 @@ import tomllib
 import pytest
 
 from bodylog.errors import ConfigError, LogError
-from bodylog.recording.cameras import camera_name
-from bodylog.recording.role_hints import advice, unreadable, unused_cameras, unused_joints
-from bodylog.recording.roles import roles
-from bodylog.settings import Topics
+from bodylog.recording.cameras import camera_name_of_source
+from bodylog.recording.role_hints import advice_on_roles, find_unreadable_topics, unused_cameras, unused_joints
+from bodylog.recording.roles import assign_roles
+from bodylog.settings import TopicSettings
 from bodylog.types import Topic
 
 JOINTS, IMAGE, COMPRESSED = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -26,7 +26,7 @@ def _topic(number: int, name: str, kind: str, messages: int = 10, definition: by
 
 
 def guessed(*described) -> dict[str, str]:
-    return {role: found.path for role, found in roles(topics(*described), Topics(), "x.mcap").items()}
+    return {role: found.path for role, found in assign_roles(topics(*described), TopicSettings(), "x.mcap").items()}
 
 
 def test_roles_assigns_every_role():
@@ -72,7 +72,7 @@ def test_roles_prefer_the_larger_body():
     joints = {"/gripper": 1, "/arm": 6, "/calibration": 20, "/bodylog/j": 30}
     described = topics(*((name, JOINTS, count) for name, count in messages.items()))
     names = {topic: tuple(f"{topic}{k}" for k in range(count)) for topic, count in joints.items()}
-    found = roles(described, Topics(), "x.mcap", lambda topic: names[topic.name])
+    found = assign_roles(described, TopicSettings(), "x.mcap", lambda topic: names[topic.name])
     assert found["joints"].topic == "/arm" and found["joints/gripper"].topic == "/gripper" and len(found) == 2
 
 
@@ -100,13 +100,13 @@ def test_roles_find_skin_in_structs_and_arrays():
 def test_roles_skip_only_a_broken_topic():
     broken = ("/a/joint_states", JOINTS, 500, b"}{")
     assert guessed(broken, ("/joint_states", JOINTS, 5))["joints"] == "/joint_states"
-    (problem,) = unreadable(topics(broken, ("/joint_states", JOINTS, 5)))
+    (problem,) = find_unreadable_topics(topics(broken, ("/joint_states", JOINTS, 5)))
     assert problem.startswith("/a/joint_states: sensor_msgs/msg/JointState: cannot read")
 
 
 def test_roles_follow_robot_toml():
-    declared = Topics(joints="/b", skin="/w.data[0:3]", camera="/depth", truth="/a")
-    found = roles(topics(("/a", JOINTS), ("/b", JOINTS), ("/w", FLOATS), ("/depth", IMAGE)), declared, "x.mcap")
+    declared = TopicSettings(joints="/b", skin="/w.data[0:3]", camera="/depth", truth="/a")
+    found = assign_roles(topics(("/a", JOINTS), ("/b", JOINTS), ("/w", FLOATS), ("/depth", IMAGE)), declared, "x.mcap")
     assert {role: (f.topic, f.field) for role, f in found.items()} == {
         "joints": ("/b", ""),
         "skin": ("/w", "data[0:3]"),
@@ -117,28 +117,28 @@ def test_roles_follow_robot_toml():
 
 def test_roles_list_topics_for_a_missing_one():
     with pytest.raises(LogError, match=r'x.mcap: \[topics\] joints = "/q", .* possible: /a, /b$'):
-        roles(topics(("/a", JOINTS), ("/b", JOINTS), ("/w", FLOATS)), Topics(joints="/q"), "x.mcap")
+        assign_roles(topics(("/a", JOINTS), ("/b", JOINTS), ("/w", FLOATS)), TopicSettings(joints="/q"), "x.mcap")
     with pytest.raises(LogError, match=r"possible: /w$"):
-        roles(topics(("/w", "std_msgs/msg/String")), Topics(joints="/q"), "x.mcap")
+        assign_roles(topics(("/w", "std_msgs/msg/String")), TopicSettings(joints="/q"), "x.mcap")
     with pytest.raises(LogError, match="the log is empty"):
-        roles([], Topics(joints="/q"), "x.mcap")
+        assign_roles([], TopicSettings(joints="/q"), "x.mcap")
 
 
 def test_roles_refuse_a_topic_without_numbers():
     with pytest.raises(LogError, match="has no array; say which"):
-        roles(topics(("/w", "std_msgs/msg/String")), Topics(skin="/w"), "x.mcap")
+        assign_roles(topics(("/w", "std_msgs/msg/String")), TopicSettings(skin="/w"), "x.mcap")
 
 
 def test_advice_is_toml_of_the_same_roles():
     described = [("/joint_states", JOINTS), ('/cam "1"', IMAGE), ("/skin", FLOATS)]
-    found = roles(topics(*described), Topics(), "x.mcap")
-    declared = tomllib.loads(advice(found))["topics"]
+    found = assign_roles(topics(*described), TopicSettings(), "x.mcap")
+    declared = tomllib.loads(advice_on_roles(found))["topics"]
     assert declared == {"joints": "/joint_states", "camera": '/cam "1"', "skin": "/skin.data"}
-    assert {r: f.path for r, f in roles(topics(*described), Topics(**declared), "x.mcap").items()} == declared
+    assert {r: f.path for r, f in assign_roles(topics(*described), TopicSettings(**declared), "x.mcap").items()} == declared
 
 
 def test_roles_merge_schemas_of_one_topic():
-    found = roles(topics(("/a", JOINTS, 5), ("/a", JOINTS, 7), ("/a", FLOATS, 7)), Topics(), "x.mcap")
+    found = assign_roles(topics(("/a", JOINTS, 5), ("/a", JOINTS, 7), ("/a", FLOATS, 7)), TopicSettings(), "x.mcap")
     assert [topic.messages for topic in found["joints"].topics] == [5, 7]
 
 
@@ -146,17 +146,17 @@ CAMERAS = (("/head/image_raw", IMAGE, 30), ("/side/image_raw", IMAGE, 20), ("/si
 
 
 def test_roles_name_several_cameras():
-    named = Topics(camera=("/side/image_raw", "/head/image_raw"))
-    found = roles(topics(*CAMERAS), named, "x.mcap")
+    named = TopicSettings(camera=("/side/image_raw", "/head/image_raw"))
+    found = assign_roles(topics(*CAMERAS), named, "x.mcap")
     assert {key: role.path for key, role in found.items()} == {
         "camera": "/side/image_raw", "camera/head": "/head/image_raw"
     }  # fmt: skip
-    assert tomllib.loads(advice(found)) == {"topics": {"camera": ["/side/image_raw", "/head/image_raw"]}}
+    assert tomllib.loads(advice_on_roles(found)) == {"topics": {"camera": ["/side/image_raw", "/head/image_raw"]}}
     with pytest.raises(LogError, match="there is no topic '/top/image'; possible: /head/image_raw, /side/image_raw"):
-        roles(topics(*CAMERAS), Topics(camera=("/side/image_raw", "/top/image")), "x.mcap")
+        assign_roles(topics(*CAMERAS), TopicSettings(camera=("/side/image_raw", "/top/image")), "x.mcap")
     for again in ("/head/image_raw", "/side/image_raw", "/side/image_raw/compressed"), ("/side/image_raw", "/side"):
         with pytest.raises(ConfigError, match="both get the name 'side'"):
-            roles(topics(*CAMERAS), Topics(camera=again), "x.mcap")
+            assign_roles(topics(*CAMERAS), TopicSettings(camera=again), "x.mcap")
 
 
 @pytest.mark.parametrize(("declared", "name"), [
@@ -164,26 +164,26 @@ def test_roles_name_several_cameras():
     ("/image", "image"), ("films/side.MP4", "side"), ("/imager", "imager"),
 ])  # fmt: skip
 def test_camera_name_drops_generic_words(declared, name):
-    assert camera_name(declared) == name
+    assert camera_name_of_source(declared) == name
 
 
 def test_unused_cameras_are_reported():
-    found = roles(topics(*CAMERAS), Topics(), "x.mcap")
-    (finding,) = unused_cameras(topics(*CAMERAS), Topics(), found)
+    found = assign_roles(topics(*CAMERAS), TopicSettings(), "x.mcap")
+    (finding,) = unused_cameras(topics(*CAMERAS), TopicSettings(), found)
     typed = 'type: [topics] camera = ["/head/image_raw", "/side/image_raw"]'
     assert found["camera"].path == "/head/image_raw"
     assert finding.text == f"camera: /head/image_raw is used, /side/image_raw not; for more, {typed}"
-    assert not unused_cameras(topics(*CAMERAS), Topics(camera="/head/image_raw"), found)
-    assert not unused_cameras(topics(*CAMERAS[1:]), Topics(), roles(topics(*CAMERAS[1:]), Topics(), "x.mcap"))
+    assert not unused_cameras(topics(*CAMERAS), TopicSettings(camera="/head/image_raw"), found)
+    assert not unused_cameras(topics(*CAMERAS[1:]), TopicSettings(), assign_roles(topics(*CAMERAS[1:]), TopicSettings(), "x.mcap"))
 
 
 def test_roles_never_guess_a_reference():
     there = topics(("/joint_states", JOINTS), ("/truth/joint_states", JOINTS))
-    named = Topics(reference="/truth/joint_states")
-    assert "reference" not in roles(there, Topics(), "x.mcap")
-    found = roles(there, named, "x.mcap")
+    named = TopicSettings(reference="/truth/joint_states")
+    assert "reference" not in assign_roles(there, TopicSettings(), "x.mcap")
+    found = assign_roles(there, named, "x.mcap")
     assert found["reference"].path == found["truth"].path == "/truth/joint_states"
-    assert "reference" not in roles(there[:1], named, "x.mcap")
+    assert "reference" not in assign_roles(there[:1], named, "x.mcap")
 
 
 @pytest.mark.parametrize(
@@ -200,31 +200,31 @@ def test_roles_refuse_a_topic_of_another_roles_type(declared, wrong, possible):
     there = topics(("/joint_states", JOINTS), ("/cam/color", COMPRESSED), ("/weights", FLOATS))
     ((role, name),) = declared.items()
     with pytest.raises(LogError) as refused:
-        roles(there, Topics(**declared), "x.mcap")
+        assign_roles(there, TopicSettings(**declared), "x.mcap")
     assert str(refused.value) == f'x.mcap: [topics] {role} = "{name}", but {name} is {wrong}; possible: {possible}'
 
 
 @pytest.mark.parametrize("kind", ["foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"])
 def test_unused_cameras_advise_on_video_packets(kind):
     there = topics(("/joint_states", JOINTS), ("/cam", kind, 10, b"string format\nstring encoding\nuint8[] data\n"))
-    (finding,) = unused_cameras(there, Topics(), roles(there, Topics(), "x.mcap"))
+    (finding,) = unused_cameras(there, TopicSettings(), assign_roles(there, TopicSettings(), "x.mcap"))
     assert finding.severity == "warning"
     assert finding.text.startswith("camera: /cam holds a video's packets, not images")
     with pytest.raises(LogError, match=rf"/cam is {kind} \(a video's packets, .* republish .* possible: none"):
-        roles(there, Topics(camera="/cam"), "x.mcap")
+        assign_roles(there, TopicSettings(camera="/cam"), "x.mcap")
 
 
 def test_roles_accept_a_named_field_of_any_type():
-    found = roles(topics(("/joint_states", JOINTS)), Topics(skin="/joint_states.effort"), "x.mcap")
+    found = assign_roles(topics(("/joint_states", JOINTS)), TopicSettings(skin="/joint_states.effort"), "x.mcap")
     assert found["skin"].path == "/joint_states.effort"
 
 
 def test_unused_joints_are_reported():
     two = topics(("/a/joint_states", JOINTS), ("/b/joint_states", JOINTS), ("/truth/joint_states", JOINTS))
-    found = roles(two, Topics(), "x.mcap")
-    (finding,) = unused_joints(two, Topics(), found)
+    found = assign_roles(two, TopicSettings(), "x.mcap")
+    (finding,) = unused_joints(two, TopicSettings(), found)
     both = 'for both, joints = ["/a/joint_states", "/b/joint_states"]'
     typed = f'for another, type: [topics] joints = "/b/joint_states"; {both}'
     assert finding.text == f"joints: /a/joint_states is used, /b/joint_states not; {typed}"
-    assert not unused_joints(two, Topics(joints="/a/joint_states"), found)
-    assert not unused_joints(two[:1], Topics(), roles(two[:1], Topics(), "x.mcap"))
+    assert not unused_joints(two, TopicSettings(joints="/a/joint_states"), found)
+    assert not unused_joints(two[:1], TopicSettings(), assign_roles(two[:1], TopicSettings(), "x.mcap"))

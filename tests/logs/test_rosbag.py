@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.formats import open_log, payload_views
 from fixtures import by_hand
 
 from . import peers
@@ -33,7 +33,7 @@ def test_open_reads_whatever_was_written(
         assert (log.start_ns, log.end_ns) == (min(written), max(written))
         for topic in log.topics:
             assert (topic.type, topic.encoding, topic.definition_encoding) == ("pkg/msg/Type", "ros1", "ros1msg")
-            found = [bytes(part) for batch in log.batches([topic.id]) for part in payloads(batch)]
+            found = [bytes(part) for batch in log.batches([topic.id]) for part in payload_views(batch)]
             assert found == [payload for name, _, payload in some if name == topic.name]
         assert [finding.severity for finding in log.findings] == ([] if indexed else ["warning"])
 
@@ -72,7 +72,7 @@ def test_open_reads_headers_of_any_field_order(tmp_path: Path, swapped: bool) ->
     path.write_bytes(_bag([chunk, index], [connection, info], 1, 1))
     with open_log(path) as log:
         (batch,) = log.batches()
-        assert [bytes(part) for part in payloads(batch)] == [bytes([number]) for number in range(6)]
+        assert [bytes(part) for part in payload_views(batch)] == [bytes([number]) for number in range(6)]
         expected = [1 * S + 2, 3 * S + 4] * 3
         assert batch.log_ns.tolist() == (expected[1:] + expected[:1] if swapped else expected)
         assert log.findings == ()
@@ -108,7 +108,7 @@ def test_batches_open_only_the_topics_chunks(tmp_path: Path) -> None:
     with open_log(path) as log:
         (wanted,) = [topic.id for topic in log.topics if topic.name == "/b"]
         (batch,) = log.batches([wanted])
-        assert [bytes(part) for part in payloads(batch)] == [b"here"]
+        assert [bytes(part) for part in payload_views(batch)] == [b"here"]
         assert log.findings == ()
         assert sum(len(batch.log_ns) for batch in log.batches()) == 10
         assert [finding.severity for finding in log.findings] == ["lost"] * 3

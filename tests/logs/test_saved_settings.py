@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from bodylog.annotating.annotate import annotate
+from bodylog.annotating.annotate import annotate_log
 from bodylog.annotating.messages import from_features, from_joints
-from bodylog.recording.facts import info
-from bodylog.recording.recording import read
-from bodylog.settings import Body, Settings, Time, Topics
+from bodylog.recording.facts import describe_log
+from bodylog.recording.recording import read_recording
+from bodylog.settings import BodySettings, Settings, TimeSettings, TopicSettings
 
 from .written import START, found, source
 
@@ -20,18 +20,18 @@ def annotated(folder, saved):
     features, _ = found()
     outgoing = [from_joints(JOINTS, features.joints, START), *from_features(features, START)]
     about = {"settings": saved if isinstance(saved, str) else json.dumps(saved)}
-    annotate(source(folder / "in.mcap"), outgoing, about, folder / "out.mcap")
+    annotate_log(source(folder / "in.mcap"), outgoing, about, folder / "out.mcap")
     return folder / "out.mcap"
 
 
 def test_restore_settings_fills_defaults(tmp_path):
     saved = {"topics": {"joints": JOINTS, "skin": None}, "body": {"unit": "deg"}, "time": {"joints": "log"}}
     log = annotated(tmp_path, saved)
-    restored = read(log, Settings()).settings
-    assert restored == Settings(topics=Topics(joints=JOINTS), body=Body(unit="deg"), time=Time(joints="log"))
-    asked = Settings(topics=Topics(joints="/joints_of_mine"), time=Time(joints="header"))
-    assert info(log, asked)["findings"][-1]["text"].startswith('[topics] joints = "/joints_of_mine", but there is no')
-    again = read(log, replace(asked, topics=Topics())).settings
+    restored = read_recording(log, Settings()).settings
+    assert restored == Settings(topics=TopicSettings(joints=JOINTS), body=BodySettings(unit="deg"), time=TimeSettings(joints="log"))
+    asked = Settings(topics=TopicSettings(joints="/joints_of_mine"), time=TimeSettings(joints="header"))
+    assert describe_log(log, asked)["findings"][-1]["text"].startswith('[topics] joints = "/joints_of_mine", but there is no')
+    again = read_recording(log, replace(asked, topics=TopicSettings())).settings
     assert again == replace(restored, time=asked.time)
 
 
@@ -48,4 +48,4 @@ def test_restore_settings_fills_defaults(tmp_path):
     ],
 )
 def test_restore_settings_ignores_values_that_do_not_fit(tmp_path, saved):
-    assert read(annotated(tmp_path, saved), Settings()).settings == Settings()
+    assert read_recording(annotated(tmp_path, saved), Settings()).settings == Settings()

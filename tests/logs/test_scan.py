@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bodylog.errors import BodylogError, LogError
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.formats import open_log, payload_views
 from bodylog.types import Finding
 from tests.work import at_most
 
@@ -36,7 +36,7 @@ def read(path: Path, strict: bool = False) -> tuple[Read, tuple[Finding, ...]]:
     with open_log(path, strict) as log:
         names = {topic.id: topic.name for topic in log.topics}
         for batch in log.batches():
-            for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+            for log_ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
                 found.append((names[batch.topic_id], log_ns, bytes(payload)))
         return found, log.findings
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import LogError
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.formats import open_log, payload_views
 from fixtures import by_hand
 
 from . import peers
@@ -73,7 +73,7 @@ def test_batches_read_only_requested_topics(tmp_path: Path) -> None:
     by_hand.db3(path, some(30), KIND, None)
     with open_log(path) as log:
         for topic in log.topics:
-            found = [bytes(part) for batch in log.batches([topic.id]) for part in payloads(batch)]
+            found = [bytes(part) for batch in log.batches([topic.id]) for part in payload_views(batch)]
             assert found == [payload for name, _, payload in some(30) if name == topic.name]
             assert topic.messages == len(found)
 

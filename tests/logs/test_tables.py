@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.recording.recording import read
-from bodylog.recording.tables import export, export_features
-from bodylog.recording.tidy import signals
+from bodylog.recording.recording import read_recording
+from bodylog.recording.tables import export_signals, export_features
+from bodylog.recording.tidy import signals_by_role
 from bodylog.settings import Settings
 from bodylog.types import Features, Recording, Series, Stroke, Synchrony, Touch
 
@@ -34,7 +34,7 @@ def table(path):
 @pytest.mark.parametrize("seed", range(3))
 def test_export_csv_reads_back_exactly(tmp_path, seed):
     series = some(seed=seed)
-    (path,) = export(recording(joints=series), tmp_path, "csv")
+    (path,) = export_signals(recording(joints=series), tmp_path, "csv")
     head, rows = table(path)
     assert path.name == "joints.csv" and head == ["stamp_ns", "t", "a", "b"]
     numbers = np.array([[float(cell or "nan") for cell in row[1:]] for row in rows])
@@ -43,14 +43,14 @@ def test_export_csv_reads_back_exactly(tmp_path, seed):
 
 
 def test_export_keeps_awkward_names_distinct(tmp_path):
-    (path,) = export(recording(truth=some(("t", 'with "quotes", commas', "ü"))), tmp_path, "csv")
+    (path,) = export_signals(recording(truth=some(("t", 'with "quotes", commas', "ü"))), tmp_path, "csv")
     assert table(path)[0] == ["stamp_ns", "t", "t_", 'with "quotes", commas', "ü"]
 
 
 def test_export_parquet_reads_back_exactly(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
     series = some()
-    (path,) = export(recording(skin=series), tmp_path / "new folder", "parquet")
+    (path,) = export_signals(recording(skin=series), tmp_path / "new folder", "parquet")
     found = parquet.read_table(path).to_pydict()
     assert list(found) == ["stamp_ns", "t", "a", "b"]
     assert np.array_equal(np.column_stack([found["a"], found["b"]]), series.values, equal_nan=True)
@@ -59,21 +59,21 @@ def test_export_parquet_reads_back_exactly(tmp_path):
 def test_export_names_a_missing_package(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(UsageError, match=r'pip install "bodylog\[parquet\]"'):
-        export(recording(joints=some()), tmp_path, "parquet")
+        export_signals(recording(joints=some()), tmp_path, "parquet")
     assert not list(tmp_path.iterdir())
 
 
 def test_export_refuses_an_unknown_format(tmp_path):
     with pytest.raises(UsageError, match="export as 'xls': possible are csv, parquet"):
-        export(recording(joints=some()), tmp_path, "xls")
+        export_signals(recording(joints=some()), tmp_path, "xls")
 
 
 def test_export_keeps_only_the_window(tmp_path, arm):
-    read_back = read(arm / "reach.bag", Settings())
-    paths = export(read_back, tmp_path, "csv", (1.0, 2.0))
+    read_back = read_recording(arm / "reach.bag", Settings())
+    paths = export_signals(read_back, tmp_path, "csv", (1.0, 2.0))
     assert {path.name for path in paths} == {"joints.csv", "truth.csv", "skin.csv"}
     for path in paths:
-        series = signals(read_back)[path.stem]
+        series = signals_by_role(read_back)[path.stem]
         times = [float(row[1]) for row in table(path)[1]]
         assert times == [t for t in series.t.tolist() if 1.0 <= t <= 2.0] and len(times) > 10
 

@@ -10,9 +10,9 @@ from rosbags.highlevel import AnyReader
 
 from bodylog.errors import LogError, UsageError
 from bodylog.logs.limits import Input
-from bodylog.recording.recording import read
-from bodylog.recording.tidy import cut, ingest, signals
-from bodylog.settings import Settings, Time, Topics
+from bodylog.recording.recording import read_recording
+from bodylog.recording.tidy import cut_to_window, write_tidy_log, signals_by_role
+from bodylog.settings import Settings, TimeSettings, TopicSettings
 
 from .written import START, by_pybag, by_rosbags, source
 
@@ -30,13 +30,13 @@ def pictures(recording):
 
 
 def test_ingest_keeps_signals_under_tidy_names(tmp_path, log):
-    ingest(log, tmp_path / "out.mcap", Settings())
-    before, after = read(log, Settings()), read(tmp_path / "out.mcap", Settings())
+    write_tidy_log(log, tmp_path / "out.mcap", Settings())
+    before, after = read_recording(log, Settings()), read_recording(tmp_path / "out.mcap", Settings())
     with AnyReader([tmp_path / "out.mcap"]) as reader:
         assert set(reader.topics) == TIDY
     assert after.start_ns == before.start_ns
-    for role, series in signals(before).items():
-        again = signals(after)[role]
+    for role, series in signals_by_role(before).items():
+        again = signals_by_role(after)[role]
         assert again.names == series.names and np.array_equal(again.t, series.t)
         tolerance = 1e-7 if role == "skin" else 0.0
         assert np.allclose(again.values, series.values, rtol=tolerance, atol=0, equal_nan=True)
@@ -46,8 +46,8 @@ def test_ingest_keeps_signals_under_tidy_names(tmp_path, log):
 
 
 def test_ingest_logs_at_the_chosen_times(tmp_path, log):
-    ingest(log, tmp_path / "out.mcap", Settings())
-    recording = read(log, Settings())
+    write_tidy_log(log, tmp_path / "out.mcap", Settings())
+    recording = read_recording(log, Settings())
     with (tmp_path / "out.mcap").open("rb") as stream:
         times = {}
         for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
@@ -59,51 +59,51 @@ def test_ingest_logs_at_the_chosen_times(tmp_path, log):
 
 
 def test_ingest_can_use_the_log_clock(tmp_path, arm):
-    by_log = Settings(time=Time(joints="log", camera="log", truth="log"))
-    ingest(arm / "reach.mcap", tmp_path / "log.mcap", by_log)
-    ingest(arm / "reach.mcap", tmp_path / "header.mcap", Settings())
+    by_log = Settings(time=TimeSettings(joints="log", camera="log", truth="log"))
+    write_tidy_log(arm / "reach.mcap", tmp_path / "log.mcap", by_log)
+    write_tidy_log(arm / "reach.mcap", tmp_path / "header.mcap", Settings())
     late = by_rosbags(tmp_path / "log.mcap"), by_rosbags(tmp_path / "header.mcap")
     joints = [[t for topic, t, _ in messages if topic == "/joint_states"] for messages in late]
     assert np.array_equal(np.subtract(*joints), np.full(len(joints[0]), 4_000_000))
 
 
 def test_ingest_output_is_read_by_every_reader(tmp_path, log):
-    ingest(log, tmp_path / "out.mcap", Settings())
+    write_tidy_log(log, tmp_path / "out.mcap", Settings())
     assert by_rosbags(tmp_path / "out.mcap") == by_pybag(tmp_path / "out.mcap")
 
 
 def test_ingest_is_deterministic(tmp_path, log):
     for name in ("a", "b"):
-        ingest(log, tmp_path / name, Settings())
+        write_tidy_log(log, tmp_path / name, Settings())
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 def test_ingest_keeps_only_the_window(tmp_path, log):
-    ingest(log, tmp_path / "out.mcap", Settings(), start=2.0, end=3.5)
-    whole, part = read(log, Settings()), read(tmp_path / "out.mcap", Settings())
-    for role, series in signals(whole).items():
-        kept = cut(series, whole.start_ns, (2.0, 3.5))
+    write_tidy_log(log, tmp_path / "out.mcap", Settings(), start=2.0, end=3.5)
+    whole, part = read_recording(log, Settings()), read_recording(tmp_path / "out.mcap", Settings())
+    for role, series in signals_by_role(whole).items():
+        kept = cut_to_window(series, whole.start_ns, (2.0, 3.5))
         assert 0 < len(kept.t) < len(series.t)
-        assert np.array_equal(signals(part)[role].values.astype(np.float32), kept.values.astype(np.float32))
+        assert np.array_equal(signals_by_role(part)[role].values.astype(np.float32), kept.values.astype(np.float32))
     assert len(pictures(part)) == sum(2.0 <= t <= 3.5 for t, _ in pictures(whole))
 
 
 def test_ingest_refuses_an_empty_window(tmp_path, log):
     with pytest.raises(LogError, match=r"no joints, skin, truth or images from 900.0 s to the end"):
-        ingest(log, tmp_path / "out.mcap", Settings(), start=900.0)
+        write_tidy_log(log, tmp_path / "out.mcap", Settings(), start=900.0)
     assert not list(tmp_path.iterdir())
 
 
 def test_ingest_refuses_a_log_without_roles(tmp_path):
     with pytest.raises(LogError, match="no joints, skin, truth or images in it"):
-        ingest(source(tmp_path / "in.mcap"), tmp_path / "out.mcap", Settings())
+        write_tidy_log(source(tmp_path / "in.mcap"), tmp_path / "out.mcap", Settings())
 
 
 def test_ingest_refuses_the_input_as_output(tmp_path, arm):
     link = tmp_path / "out.mcap"
     link.symlink_to(arm / "reach.mcap")
     with pytest.raises(UsageError, match="is also an input"):
-        ingest(arm / "reach.mcap", link, Settings())
+        write_tidy_log(arm / "reach.mcap", link, Settings())
 
 
 def test_ingest_writes_a_video_as_jpegs(tmp_path, arm):
@@ -111,10 +111,10 @@ def test_ingest_writes_a_video_as_jpegs(tmp_path, arm):
     for level in range(0, 250, 25):
         video.write(np.full((48, 64, 3), level, np.uint8))
     video.release()
-    settings = Settings(topics=Topics(camera=str(tmp_path / "side.avi"), start=START / 1e9))
-    first_s = START / 1e9 - read(arm / "reach.mcap", Settings()).start_ns / 1e9
-    ingest(arm / "reach.mcap", tmp_path / "out.mcap", settings)
-    frames = pictures(read(tmp_path / "out.mcap", Settings()))
+    settings = Settings(topics=TopicSettings(camera=str(tmp_path / "side.avi"), start=START / 1e9))
+    first_s = START / 1e9 - read_recording(arm / "reach.mcap", Settings()).start_ns / 1e9
+    write_tidy_log(arm / "reach.mcap", tmp_path / "out.mcap", settings)
+    frames = pictures(read_recording(tmp_path / "out.mcap", Settings()))
     assert np.allclose([t for t, _ in frames], first_s + np.arange(10) / 10, atol=1e-6)
     assert np.allclose([image.mean() for _, image in frames], range(0, 250, 25), atol=3)
 
@@ -139,7 +139,7 @@ def json_log(path, kind, message, odd=None):
 
 
 def ingested(tmp_path, log):
-    ingest(log, tmp_path / "out.mcap", Settings())
+    write_tidy_log(log, tmp_path / "out.mcap", Settings())
     with AnyReader([tmp_path / "out.mcap"]) as reader:
         return [(c.topic, reader.deserialize(raw, c.msgtype)) for c, _, raw in reader.messages()]
 
@@ -157,7 +157,7 @@ def test_ingest_counts_a_malformed_image(tmp_path):
     jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
     message = {"format": "jpeg", "data": base64.b64encode(jpeg).decode()}
     log = json_log(tmp_path / "in.mcap", "foxglove.CompressedImage", message, {"data": "not base64!"})
-    lost = [f.text for f in ingest(log, tmp_path / "out.mcap", Settings()) if f.severity == "lost"]
+    lost = [f.text for f in write_tidy_log(log, tmp_path / "out.mcap", Settings()) if f.severity == "lost"]
     assert len(lost) == 1 and f"{log}: /cam: 1 images cannot be read and are left out, the first for this: " in lost[0]
     with AnyReader([tmp_path / "out.mcap"]) as reader:
         assert reader.message_count == 4
@@ -175,8 +175,8 @@ def test_ingest_reads_a_foreign_protobuf_log(tmp_path, arm):
     log = arm.parent / "gagalo123__mcap-explorer" / "examples" / "demo.mcap"
     found = ingested(tmp_path, log)
     assert len(found) == 30
-    before = pictures(read(log, Settings()))
-    after = pictures(read(tmp_path / "out.mcap", Settings()))
+    before = pictures(read_recording(log, Settings()))
+    after = pictures(read_recording(tmp_path / "out.mcap", Settings()))
     assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(before, after, strict=True))
 
 
@@ -189,10 +189,10 @@ def test_ingest_reports_messages_before_time_zero(tmp_path):
     rows = [(t0 + k * 10**8, joint_state(10**9 + k * 5 * 10**7, ("a",), (0.1 * k,))) for k in range(50)]
     seen = [(t0 + k * 10**8, compressed(t0 + k * 10**8, picture)) for k in range(50)]
     log = writing.write(tmp_path / "a.mcap", [joints("/j", rows), camera("/cam", seen)])
-    findings = ingest(log, tmp_path / "out.mcap", Settings())
+    findings = write_tidy_log(log, tmp_path / "out.mcap", Settings())
     (fields,) = [f.text for f in findings if "left out" in f.text]
     left = int(fields.removeprefix(f"{log}: ").split()[0])
-    after = read(tmp_path / "out.mcap", Settings())
+    after = read_recording(tmp_path / "out.mcap", Settings())
     assert 0 < left < 50 and len(list(after.frames())) == 50 - left and len(after.joints.t) == 50
 
 
@@ -200,5 +200,5 @@ def test_ingest_refuses_a_damaged_log_if_strict(tmp_path, arm):
     log = tmp_path / "cut.mcap"
     log.write_bytes((arm / "reach.mcap").read_bytes()[:-200_000])
     with pytest.raises(LogError, match="without --strict"):
-        ingest(log, tmp_path / "out.mcap", Settings(input=Input(strict=True)))
+        write_tidy_log(log, tmp_path / "out.mcap", Settings(input=Input(strict=True)))
     assert list(tmp_path.iterdir()) == [log]

@@ -10,7 +10,7 @@ import pytest
 
 from bodylog.errors import ConfigError, LogError
 from bodylog.pipeline import observe
-from bodylog.recording.recording import read
+from bodylog.recording.recording import read_recording
 from bodylog.settings import Settings
 from bodylog.sources import TableSource, TopicSource
 
@@ -208,7 +208,7 @@ def test_tracks_refuse_a_table_in_one_line(tmp_path, text, columns, reason):
     path = _log(tmp_path)
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises((LogError, ConfigError), match=reason) as caught:
-        read(path, Settings(features={"tip": TableSource("t.csv", columns)}))
+        read_recording(path, Settings(features={"tip": TableSource("t.csv", columns)}))
     assert "\n" not in str(caught.value)
     with pytest.raises(LogError, match=r"there is no table 'gone\.csv'"):
-        read(path, Settings(features={"tip": TableSource("gone.csv")}))
+        read_recording(path, Settings(features={"tip": TableSource("gone.csv")}))

@@ -9,7 +9,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from bodylog.annotating.annotate import annotate
+from bodylog.annotating.annotate import annotate_log
 from bodylog.logs.topic_names import PREFIX
 
 from .written import START, UNSUITED, amount, by_pybag, by_rosbags, foreign, outgoing, source, streamed
@@ -93,7 +93,7 @@ def ours():
 @pytest.mark.parametrize("seed", range(3))
 def test_carry_converts_ros1_to_cdr(tmp_path, ours, seed):
     log = bag(tmp_path / "in.bag", seed)
-    assert annotate(log, ours, {}, tmp_path / "out.mcap") == ()
+    assert annotate_log(log, ours, {}, tmp_path / "out.mcap") == ()
     assert decoded(tmp_path / "out.mcap") == decoded(log)
     assert len(streamed(tmp_path / "out.mcap")) == 90 + amount(ours)
     assert len(by_pybag(tmp_path / "out.mcap")) == 90 + amount(ours)
@@ -101,7 +101,7 @@ def test_carry_converts_ros1_to_cdr(tmp_path, ours, seed):
 
 def test_carry_equals_rosbags_conversion(tmp_path, ours):
     log = bag(tmp_path / "in.bag")
-    annotate(log, ours, {}, tmp_path / "out.mcap")
+    annotate_log(log, ours, {}, tmp_path / "out.mcap")
     store = get_typestore(Stores.ROS2_HUMBLE)
     with AnyReader([log]) as reader:
         theirs = [bytes(store.ros1_to_cdr(raw, c.msgtype)) for c, _, raw in reader.messages() if c.topic != "/t2"]
@@ -118,7 +118,7 @@ def test_carry_keeps_a_bad_payload_as_ros1(tmp_path, ours):
         return raw
 
     log = bag(tmp_path / "in.bag", damage=damage)
-    (finding,) = annotate(log, ours, {}, tmp_path / "out.mcap")
+    (finding,) = annotate_log(log, ours, {}, tmp_path / "out.mcap")
     assert finding.severity == "warning"
     assert f"topic /t0: {len(cut)} of 30 messages contradict their definition; they stay ROS 1" in finding.text
     assert len(streamed(tmp_path / "out.mcap")) == 90 + amount(ours)
@@ -148,29 +148,29 @@ def bag_without_definitions(path, md5):
 
 def test_converter_finds_missing_definitions_by_checksum(tmp_path, ours):
     whole, log = bag(tmp_path / "whole.bag"), bag_without_definitions(tmp_path / "in.bag", None)
-    (finding,) = annotate(log, ours, {}, tmp_path / "out.mcap")
+    (finding,) = annotate_log(log, ours, {}, tmp_path / "out.mcap")
     assert finding.text.startswith("topic /t2: has no definition of custom_msgs/msg/Skin; its messages stay ROS 1")
-    annotate(whole, ours, {}, tmp_path / "whole.mcap")
+    annotate_log(whole, ours, {}, tmp_path / "whole.mcap")
     assert foreign(streamed(tmp_path / "out.mcap"))[:60] == foreign(streamed(tmp_path / "whole.mcap"))[:60]
 
 
 def test_converter_refuses_a_checksum_mismatch(tmp_path, ours):
     wrong = hashlib.md5(b"another JointState").hexdigest().encode()
-    findings = annotate(bag_without_definitions(tmp_path / "in.bag", wrong), ours, {}, tmp_path / "out.mcap")
+    findings = annotate_log(bag_without_definitions(tmp_path / "in.bag", wrong), ours, {}, tmp_path / "out.mcap")
     assert [f.text[:9] for f in findings] == ["topic /t0", "topic /t1", "topic /t2"]
     assert len(streamed(tmp_path / "out.mcap")) == 90 + amount(ours)
 
 
 @pytest.mark.parametrize("log", ["reach.bag", "reach_rosbag2"])
 def test_carry_keeps_values_and_times_of_the_arm(tmp_path, arm, ours, log):
-    annotate(arm / log, ours, {}, tmp_path / "out.mcap")
+    annotate_log(arm / log, ours, {}, tmp_path / "out.mcap")
     assert decoded(tmp_path / "out.mcap") == decoded(arm / log)
-    annotate(arm / log, ours, {}, tmp_path / "again.mcap")
+    annotate_log(arm / log, ours, {}, tmp_path / "again.mcap")
     assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "again.mcap").read_bytes()
 
 
 def test_carry_keeps_cdr_byte_for_byte(tmp_path, arm, ours):
-    annotate(arm / "reach_rosbag2", ours, {}, tmp_path / "out.mcap")
+    annotate_log(arm / "reach_rosbag2", ours, {}, tmp_path / "out.mcap")
     theirs = [(topic, t, bytes(raw)) for topic, t, raw in by_rosbags_raw(arm / "reach_rosbag2")]
     assert foreign(by_rosbags(tmp_path / "out.mcap")) == sorted(theirs)
 
@@ -180,15 +180,15 @@ def test_carry_keeps_attachments_of_compressed_mcaps(tmp_path, ours, how):
     plain = source(tmp_path / "in.mcap", **UNSUITED[how])
     packed = tmp_path / "in.mcap.zst"
     packed.write_bytes(zstandard.compress(plain.read_bytes()))
-    annotate(packed, ours, {"a": "b"}, tmp_path / "out.mcap")
-    annotate(plain, ours, {"a": "b"}, tmp_path / "plain.mcap")
+    annotate_log(packed, ours, {"a": "b"}, tmp_path / "out.mcap")
+    annotate_log(plain, ours, {"a": "b"}, tmp_path / "plain.mcap")
     assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "plain.mcap").read_bytes()
 
 
 def test_carry_merges_a_folder_of_mcaps(tmp_path, ours):
     (tmp_path / "bag").mkdir()
     parts = [source(tmp_path / "bag" / f"part_{i}.mcap", seed=i, count=50) for i in range(2)]
-    annotate(tmp_path / "bag", ours, {}, tmp_path / "out.mcap")
+    annotate_log(tmp_path / "bag", ours, {}, tmp_path / "out.mcap")
     assert foreign(streamed(tmp_path / "out.mcap")) == sorted(m for part in parts for m in streamed(part))
     with (tmp_path / "out.mcap").open("rb") as stream:
         reader = make_reader(stream)
@@ -204,7 +204,7 @@ def test_carry_uses_constant_memory(tmp_path, ours):
         log = source(tmp_path / "in.mcap", count=count, padding=250_000, **UNSUITED["unchunked"])
         assert log.stat().st_size > count * 250_000
         tracemalloc.start()
-        annotate(log, ours, {}, tmp_path / "out.mcap")
+        annotate_log(log, ours, {}, tmp_path / "out.mcap")
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.1 * peaks[0] < 30_000_000
@@ -212,7 +212,7 @@ def test_carry_uses_constant_memory(tmp_path, ours):
 
 def test_carry_keeps_every_conformance_message(tmp_path, arm, ours):
     for log in sorted((arm.parent / "foxglove__mcap").rglob("*.mcap"))[::6]:
-        annotate(shutil.copy(log, tmp_path / "in.mcap"), ours, {}, tmp_path / "out.mcap")
+        annotate_log(shutil.copy(log, tmp_path / "in.mcap"), ours, {}, tmp_path / "out.mcap")
         assert foreign(streamed(tmp_path / "out.mcap")) == streamed(log), log
 
 
@@ -224,5 +224,5 @@ def test_carry_accepts_types_of_constants(tmp_path, ours):
         writer.write(connection, START, b"")
     raw = (tmp_path / "in.bag").read_bytes()
     (tmp_path / "in.bag").write_bytes(raw.replace(b"uint8 A=1\n", b"uint8 a=1\n"))
-    assert annotate(tmp_path / "in.bag", ours, {}, tmp_path / "out.mcap") == ()
+    assert annotate_log(tmp_path / "in.bag", ours, {}, tmp_path / "out.mcap") == ()
     assert len(by_rosbags(tmp_path / "out.mcap")) == 1 + amount(ours)

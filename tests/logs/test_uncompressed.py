@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.formats import open_log, payload_views
 from bodylog.logs.mcap import reader, uncompressed
 
 Read = tuple[dict[int, list[tuple[int, bytes]]], list[str]]
@@ -40,21 +40,21 @@ def _read(path: Path) -> Read:
     with open_log(path) as log:
         for batch in log.batches():
             of_topic = found.setdefault(batch.topic_id, [])
-            of_topic += zip(batch.log_ns.tolist(), map(bytes, payloads(batch)), strict=True)
+            of_topic += zip(batch.log_ns.tolist(), map(bytes, payload_views(batch)), strict=True)
         return found, [finding.text for finding in log.findings]
 
 
 def _both(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Read]:
     yield _read(path)
     with monkeypatch.context() as alone:
-        alone.setattr(reader, "together", lambda *_: None)
+        alone.setattr(reader, "read_uncompressed_run", lambda *_: None)
         yield _read(path)
 
 
 def test_together_reads_several_chunks(tmp_path: Path) -> None:
     _write(tmp_path / "a.mcap", 0)
     with reader.McapLog(tmp_path / "a.mcap") as log:
-        counts = [len(some) for some in uncompressed.runs(log.survey.parts)]
+        counts = [len(some) for some in uncompressed.group_uncompressed_chunks(log.survey.parts)]
         messages = [len(found.starts) for _, found in log.messages()]
     assert counts[0] == 1 and max(counts) >= 5 and sum(counts) == len(log.survey.parts)
     assert len(messages) == len(counts) and sum(messages) == 600

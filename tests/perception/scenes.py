@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from bodylog.types import Array, Frame, Recording, Series
+from bodylog.types import Array, LazyImage, Recording, Series
 
 GREEN, RED, YELLOW = (40, 190, 30), (36, 34, 200), (20, 210, 220)
 REDUCED = {1: 1, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
@@ -54,16 +54,16 @@ def jpeg(picture: Array, quality: int = 90) -> Array:
     return np.asarray(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
 
 
-def frame(t: float, payload: Array) -> Frame:
+def frame(t: float, payload: Array) -> LazyImage:
     """A Frame that decodes a JPEG."""
-    return Frame(t, round(t * 1e9), lambda k: cv2.imdecode(payload, REDUCED[k]), shrinks=True)
+    return LazyImage(t, round(t * 1e9), lambda k: cv2.imdecode(payload, REDUCED[k]), shrinks=True)
 
 
-def frames(t: Array, payloads: Sequence[Array]) -> Callable[[], Iterator[Frame]]:
+def frames(t: Array, payloads: Sequence[Array]) -> Callable[[], Iterator[LazyImage]]:
     """What a Recording's frames are, of JPEG payloads."""
     return lambda: (frame(float(moment), payload) for moment, payload in zip(t, payloads, strict=True))
 
 
-def recording(pictures: Callable[[], Iterator[Frame]] | None = None, skin: Series | None = None) -> Recording:
+def recording(pictures: Callable[[], Iterator[LazyImage]] | None = None, skin: Series | None = None) -> Recording:
     """A Recording of pictures and skin alone."""
     return Recording("test", "mcap", 0, 0.0, (), {}, None, skin, None, pictures, None, {})

@@ -9,7 +9,7 @@ import pytest
 from bodylog.perception import tracking
 from bodylog.perception.tags import unknown
 from bodylog.perception.tags.board_shape import recognise_board
-from bodylog.perception.tags.charuco import CharucoTracker, layout
+from bodylog.perception.tags.charuco import CharucoTracker, lay_out_board
 from bodylog.perception.tags.search import Tags
 from bodylog.sources import CharucoSource
 from bodylog.types import Array
@@ -28,14 +28,14 @@ def test_markers_and_corners_lie_where_opencv_puts_them(shape: str, legacy: bool
     source = CharucoSource(shape, 0.07, 0.04, "4x4_1000")
     board = cv2.aruco.CharucoBoard(source.shape, 0.07, 0.04, tag_scenes.dictionary("4X4_1000"))
     board.setLegacyPattern(legacy)
-    ours = layout(source, legacy)
+    ours = lay_out_board(source, legacy)
     np.testing.assert_allclose(ours.markers, np.array(board.getObjPoints())[:, :, :2] / 0.07, atol=1e-5)
     np.testing.assert_allclose(ours.corners, np.array(board.getChessboardCorners())[:, :2] / 0.07, atol=1e-5)
     assert (ours.white.sum(axis=1) == 2).all()
 
 
 def _values(source: CharucoSource, images: list[Array | None]) -> tuple[Array, tracking.Tracked]:
-    (tracker,) = tracking.trackers({"board": source})
+    (tracker,) = tracking.make_trackers({"board": source})
     for image in images:
         tracker.add(image)
     found = tracker.tracked()

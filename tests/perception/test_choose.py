@@ -29,7 +29,7 @@ def test_stretches_are_linked_as_frame_by_frame(others: float, count: int, monke
     rng = np.random.default_rng(int(100 * others))
     logs = [_found(rng, others) for _ in range(count)]
     at_once = [target_selection.select_target(t, found, 320.0) for t, found in logs]
-    monkeypatch.setattr(target_selection, "_alone", lambda t, found, reach: list(range(len(t))))
+    monkeypatch.setattr(target_selection, "_last_single_frames", lambda t, found, reach: list(range(len(t))))
     for (t, found), (track, why) in zip(logs, at_once, strict=True):
         one_by_one = target_selection.select_target(t, found, 320.0)
         np.testing.assert_array_equal(track, one_by_one[0])

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bodylog.perception import observe
+from bodylog.perception import observe_recording
 from bodylog.perception.colours import blob_measurement, clutter, colour_tracker, outline
 from bodylog.perception.tracking import joint_motion
 from bodylog.recording import recording
-from bodylog.settings import Settings, Topics
+from bodylog.settings import Settings, TopicSettings
 from bodylog.types import Array, Recording, Series
 from tests.perception import scenes
 from tests.perception.scenes import Disc
@@ -50,7 +50,7 @@ def _film(seed: int, count: int = 200, delay: float = 0.0) -> tuple[Recording, A
 @pytest.mark.parametrize(("seed", "delay"), [(0, 0.0), (1, 0.1), pytest.param(2, -0.1, marks=pytest.mark.soak)])
 def test_observe_follows_only_the_ball_of_the_arm(seed: int, delay: float) -> None:
     film, uv, clear = _film(seed, delay=delay)
-    track = observe(film, Settings()).effector
+    track = observe_recording(film, Settings()).effector
     assert track is not None
     off = np.hypot(*(track.values - uv).T)
     assert np.isfinite(off[clear]).mean() > 0.97
@@ -59,7 +59,7 @@ def test_observe_follows_only_the_ball_of_the_arm(seed: int, delay: float) -> No
 
 def test_observe_without_joints_follows_the_largest() -> None:
     film, uv, _ = _film(0)
-    track = observe(replace(film, joints=None), Settings()).effector
+    track = observe_recording(replace(film, joints=None), Settings()).effector
     assert track is not None and np.nanmedian(np.hypot(*(track.values - uv).T)) > 20
 
 
@@ -69,7 +69,7 @@ def test_single_blob_track_does_not_depend_on_joints() -> None:
     wall = scenes.wall(rng)
     pictures = [scenes.jpeg(scenes.draw(wall, [Disc(*own, RADIUS)], rng)) for own in uv.tolist()]
     frames = scenes.frames(np.arange(60) / 10.0, pictures)
-    look, tracks = colour_tracker.search, colour_tracker.tracks
+    look, tracks = colour_tracker.search_colours, colour_tracker.colour_tracks
     one, other = (tracks(look(frames, {"effector": "green"}), frames, {"effector": "green"}, joints)
                   for joints in (film.joints, None))  # fmt: skip
     assert one[0]["effector"].values.tobytes() == other[0]["effector"].values.tobytes()
@@ -78,13 +78,13 @@ def test_single_blob_track_does_not_depend_on_joints() -> None:
 def test_joints_explain_only_the_ball() -> None:
     film, uv, _ = _film(3)
     t = np.arange(200) / 10.0
-    q = joint_motion.angles(film.joints, t)
+    q = joint_motion.moving_postures(film.joints, t)
     other = 100 + 50 * np.column_stack([np.sin(1.3 * t), np.cos(0.4 * t)])
     assert joint_motion.explained_share(q, uv, 320.0) > 0.9
     assert joint_motion.explained_share(q, other, 320.0) < 0.2
-    assert joint_motion.delay(film.joints, t, uv, 320.0) == 0.0
+    assert joint_motion.camera_delay_s(film.joints, t, uv, 320.0) == 0.0
     later = np.column_stack([np.interp(t - 0.1, t, column) for column in uv.T])
-    assert joint_motion.delay(film.joints, t[5:], later[5:], 320.0) == pytest.approx(0.1)
+    assert joint_motion.camera_delay_s(film.joints, t[5:], later[5:], 320.0) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("side", [(14.0, 6.0), (-12.0, 9.0)])
@@ -93,15 +93,15 @@ def test_outline_fits_a_ball_touching_its_own_colour(side: tuple[float, float]) 
     wall = scenes.wall(rng)
     discs = [Disc(150.0 + side[0], 110.0 + side[1], 10.0), Disc(150.3, 110.6, 10.0, shade=0.5)]
     image = scenes.draw(wall, discs, rng).astype(np.float32)
-    found = outline.fit(image, np.array([151.5, 109.5]), 10.0, 3.0)
+    found = outline.fit_outline(image, np.array([151.5, 109.5]), 10.0, 3.0)
     assert found is not None and np.hypot(found.u - 150.3, found.v - 110.6) < 0.4
-    assert outline.fit(image, np.array([60.0, 60.0]), 10.0, 3.0) is None
+    assert outline.fit_outline(image, np.array([60.0, 60.0]), 10.0, 3.0) is None
 
 
 @pytest.mark.parametrize("name", [pytest.param("ball_explore", marks=pytest.mark.soak), "ball_offset"])
 def test_ball_is_found_among_clutter_of_its_colour(worlds: Path, name: str) -> None:
-    settings = replace(Settings(), topics=Topics(joints="/arm/joint_states"))
-    track = observe(recording.read(worlds / name, settings), settings).effector
+    settings = replace(Settings(), topics=TopicSettings(joints="/arm/joint_states"))
+    track = observe_recording(recording.read_recording(worlds / name, settings), settings).effector
     with np.load(worlds / f"{name}.truth.npz") as truth:
         uv, seen = truth["uv"], truth["seen"].astype(bool)
     assert track is not None
@@ -120,7 +120,7 @@ def test_wheels_do_not_hide_that_a_thing_moves_with_the_arm():
     y = np.column_stack([320 + 150 * np.sin(arm[:, 0] + arm[:, 1]), 240 + 150 * np.cos(arm[:, 2] - arm[:, 1])])
     names = ("a", "b", "c", "left", "right")
     joints = Series(t, np.column_stack([arm, wheels]), names, "rad", (t * 1e9).astype(np.int64))
-    assert joint_motion.explained_share(joint_motion.angles(joints, t), y, 640) > 0.8
+    assert joint_motion.explained_share(joint_motion.moving_postures(joints, t), y, 640) > 0.8
 
 
 def _candidates(count: int) -> tuple[Array, Array, Series]:
@@ -148,14 +148,14 @@ def test_long_log_is_followed_from_one_start(seen: slice, monkeypatch: pytest.Mo
     unseen[seen] = False
     found[unseen] = np.nan
     followed: list[int] = []
-    follow = clutter._follow
+    follow = clutter._follow_joints
 
-    def noted(t: Array, *rest: Any) -> clutter.Choice:
+    def noted(t: Array, *rest: Any) -> clutter.BlobChoice:
         followed.append(len(t))
         return follow(t, *rest)
 
-    monkeypatch.setattr(clutter, "_follow", noted)
-    choice = clutter.choose(t, found, joints, 320.0)
+    monkeypatch.setattr(clutter, "_follow_joints", noted)
+    choice = clutter.choose_arm_blobs(t, found, joints, 320.0)
     assert choice is not None
     assert (choice.number[seen] == 1).mean() > 0.95
     assert (choice.number[unseen] == -1).all()

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bodylog.perception.surface.corner_tracks import CornerTracker, moving_pieces, split, track_corners
-from bodylog.types import Array, Frame
+from bodylog.perception.surface.corner_tracks import CornerTracker, moving_pieces, places_by_piece, track_corners
+from bodylog.types import Array, LazyImage
 
 
 def texture(seed: int, height: int, width: int) -> Array:
@@ -33,10 +33,10 @@ def place(n: int) -> float:
     return 40.0 + 1.5 * abs((n + 80) % 160 - 80)
 
 
-def film(images: list[Array]) -> Iterator[Frame]:
+def film(images: list[Array]) -> Iterator[LazyImage]:
     for n, image in enumerate(images):
         colour = np.dstack([image] * 3)
-        yield Frame(n / 15.0, n, lambda k, colour=colour: colour[::k, ::k])
+        yield LazyImage(n / 15.0, n, lambda k, colour=colour: colour[::k, ::k])
 
 
 def test_corners_inside_the_square_follow_it():
@@ -44,7 +44,7 @@ def test_corners_inside_the_square_follow_it():
     assert survey.repeats.share is not None and survey.repeats.share < 0.02
     moving = tracks.take(moving_pieces(tracks))
     errors = []
-    for k, uv in enumerate(split(moving)):
+    for k, uv in enumerate(places_by_piece(moving)):
         square = np.array([[place(round(15.0 * t)), 70.0] for t in moving.t[moving.frame[moving.piece == k]]])
         if (np.abs(uv[0] - square[0] - 40.0) < 32.0).all():  # at its rim corners slide along the wall
             errors.append(np.ptp(uv - square, axis=0).max())

@@ -8,15 +8,15 @@ import pytest
 
 from bodylog.errors import LogError
 from bodylog.perception.colours import hsv_ranges
-from bodylog.perception.tracking.frame_search import FrameSearcher, Seen
-from bodylog.types import Array, ConsumedFrames, Frame
+from bodylog.perception.tracking.frame_search import FrameSearcher, SearchedFrames
+from bodylog.types import Array, ConsumedFrames, LazyImage
 from tests.perception import scenes
 from tests.perception.scenes import Disc
 
-GREEN = [hsv_ranges.resolve("green", "it")]
+GREEN = [hsv_ranges.resolve_colour("green", "it")]
 
 
-def look(frames: Iterator[Frame], threads: int, number: Array | None = None) -> Seen:
+def look(frames: Iterator[LazyImage], threads: int, number: Array | None = None) -> SearchedFrames:
     with FrameSearcher(GREEN, None, False, threads) as given:
         count = 0
         for frame in frames:
@@ -26,7 +26,7 @@ def look(frames: Iterator[Frame], threads: int, number: Array | None = None) -> 
     return given.seen(ConsumedFrames(chosen / 30.0, chosen, chosen, given))
 
 
-def _film(count: int, seed: int) -> list[Frame]:
+def _film(count: int, seed: int) -> list[LazyImage]:
     rng = np.random.default_rng(seed)
     wall = scenes.wall(rng, 160, 120)
     places = rng.uniform((20, 20), (140, 100), (count, 2))
@@ -48,7 +48,7 @@ def test_frame_searcher_raises_errors_and_ends_all_threads(threads: int) -> None
     film = _film(40, 0)
     taken = []
 
-    def source() -> Iterator[Frame]:
+    def source() -> Iterator[LazyImage]:
         for index, frame in enumerate(film):
             if index == 20:
                 raise LogError("log.mcap: is damaged")
@@ -69,8 +69,8 @@ def test_look_stops_all_threads_after_a_failure(threads: int) -> None:
     def failing(_: int) -> Array:
         raise ZeroDivisionError
 
-    def source() -> Iterator[Frame]:
-        yield Frame(0.0, 0, failing)
+    def source() -> Iterator[LazyImage]:
+        yield LazyImage(0.0, 0, failing)
         for _ in range(1000):
             for frame in film:
                 asked.append(frame)

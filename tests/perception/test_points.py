@@ -9,7 +9,7 @@ import pytest
 from bodylog.errors import EvidenceError, FormatError
 from bodylog.perception.points import points
 from bodylog.sources import PointSource
-from bodylog.types import Array, Frame
+from bodylog.types import Array, LazyImage
 from tests.perception import tag_scenes
 from tests.perception.tag_scenes import Look
 
@@ -43,11 +43,11 @@ def _film(seed: int, count: int, look: Look, hidden: range = range(0)) -> tuple[
     return images, np.array(places)
 
 
-def _frames(images: list[Array]) -> Callable[[], Iterator[Frame]]:
+def _frames(images: list[Array]) -> Callable[[], Iterator[LazyImage]]:
     def colour(image: Array) -> Callable[[int], Array]:
         return lambda k: np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
 
-    return lambda: (Frame(k / 10, k, colour(image)) for k, image in enumerate(images))
+    return lambda: (LazyImage(k / 10, k, colour(image)) for k, image in enumerate(images))
 
 
 @pytest.mark.parametrize("noise", [1.0, 5.0])
@@ -55,7 +55,7 @@ def test_point_is_followed_with_its_stated_precision(noise: float) -> None:
     apart, stated = [], []
     for seed in range(3):
         images, places = _film(seed, 26, Look(noise=noise))
-        (found,) = points.tracked(_frames(images), {"tip": PointSource(tuple(places[0]), 0.0)})
+        (found,) = points.track_points(_frames(images), {"tip": PointSource(tuple(places[0]), 0.0)})
         seen = np.isfinite(found.values[:, 0, 0])
         assert found.names == ("tip",) and seen.mean() > 0.95
         apart.append((found.values[:, 0, :2] - places)[seen])
@@ -71,8 +71,8 @@ def test_point_is_followed_with_its_stated_precision(noise: float) -> None:
 def test_hidden_point_is_counted_and_found_again() -> None:
     images, places = _film(2, 24, Look(), range(10, 16))
     frames = [*_frames(images)()]
-    frames[20] = Frame(2.0, 20, _broken)
-    (found,) = points.tracked(lambda: iter(frames), {"tip": PointSource(tuple(places[0]), 0.0)})
+    frames[20] = LazyImage(2.0, 20, _broken)
+    (found,) = points.track_points(lambda: iter(frames), {"tip": PointSource(tuple(places[0]), 0.0)})
     seen = np.isfinite(found.values[:, 0, 0])
     assert not seen[10:16].any() and not seen[20] and seen[:10].all() and seen[16:20].any() and seen[22:].all()
     assert np.abs(found.values[seen, 0, :2] - places[seen]).max() < 0.6
@@ -93,4 +93,4 @@ def _broken(scale: int) -> Array:
 )
 def test_tracked_refuses_a_point_it_cannot_follow(point, at, message) -> None:
     with pytest.raises(EvidenceError, match=message):
-        points.tracked(_frames([np.full((240, 320), 90, np.uint8)] * 2), {"tip": PointSource(point, at)})
+        points.track_points(_frames([np.full((240, 320), 90, np.uint8)] * 2), {"tip": PointSource(point, at)})

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.perception.surface.repeats import FrameRepeats, RepeatSearch, find_repeats
-from bodylog.types import Array, Frame
+from bodylog.types import Array, LazyImage
 
 
 def scene(place: float, noise: float, rng: np.random.Generator) -> Array:
@@ -74,10 +74,10 @@ def test_frames_of_a_log() -> None:
     rng = np.random.default_rng(1)
     images = [scene(float(place), 0.0, rng) for place in places]
 
-    def frames() -> Iterator[Frame]:
+    def frames() -> Iterator[LazyImage]:
         for n, image in enumerate(images):
             big = np.repeat(np.repeat(image, 4, 0), 4, 1)
-            yield Frame(n / 30.0, n, lambda k, big=big: np.dstack([big[::k, ::k]] * 3))
+            yield LazyImage(n / 30.0, n, lambda k, big=big: np.dstack([big[::k, ::k]] * 3))
 
     found = find_repeats(frames)
     assert found.share == pytest.approx(0.5, abs=0.05)

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from bodylog.perception.colours import blob_measurement, coarse_search
-from bodylog.perception.colours.hsv_ranges import between, resolve
+from bodylog.perception.colours.hsv_ranges import range_between, resolve_colour
 from bodylog.types import Array
 
 from . import scenes
 
-RANGES = [resolve("green", "effector"), resolve("red", "hand")]
+RANGES = [resolve_colour("green", "effector"), resolve_colour("red", "hand")]
 
 
 def _kept(picture: Array) -> dict[str, Array]:
@@ -41,7 +41,7 @@ def test_windows_keep_no_picture() -> None:
     rng = np.random.default_rng(1)
     picture = scenes.draw(scenes.wall(rng, 320, 240, 4.0), [scenes.Disc(160, 120, 11.0)], rng)
     for kept in (picture, *_kept(picture).values()):
-        found = list(coarse_search.windows({0: kept}, RANGES))
+        found = list(coarse_search.find_windows({0: kept}, RANGES))
         assert found and not any(np.shares_memory(window.pixels, kept) for window in found)
 
 
@@ -54,9 +54,9 @@ def test_pictures_searched_together_show_what_each_alone_does(seed: int) -> None
         discs = [scenes.Disc(rng.uniform(0, width), v, 14.0) for v in (0.0, height - 1.0)]
         picture = scenes.draw(scenes.wall(rng, width, height, 4.0), discs, rng)
         pictures.append(list(_kept(picture).values())[number % 2])
-    together, count = list(coarse_search.windows(dict(enumerate(pictures)), RANGES)), 0
+    together, count = list(coarse_search.find_windows(dict(enumerate(pictures)), RANGES)), 0
     for number, picture in enumerate(pictures):
-        alone = list(coarse_search.windows({number: picture}, RANGES))
+        alone = list(coarse_search.find_windows({number: picture}, RANGES))
         same = [window for window in together if window.picture == number]
         count += len(same)
         for ours, expected in zip(same, alone, strict=True):
@@ -72,7 +72,7 @@ def test_narrow_ranges_are_found_wherever_they_lie_among_the_colours(seed: int) 
         b, g, r = cv2.cvtColor(np.array([[[h, s, v]]], np.uint8), cv2.COLOR_HSV2BGR)[0, 0].tolist()
         picture = scenes.draw(scenes.wall(rng, 160, 120, 4.0), [scenes.Disc(80, 60, 9.0, (b, g, r))], rng)
         low, high = (max(s - 30, 90), max(v - 30, 50)), (min(s + 30, 255), min(v + 30, 255))
-        about = between(((h - 4) % 180, *low), ((h + 4) % 180, *high))
+        about = range_between(((h - 4) % 180, *low), ((h + 4) % 180, *high))
         found = blob_measurement.measured_blobs([picture], [about])[0, 0, 0]
         assert np.hypot(*(found[:2] - (80, 60))) < 0.5, (h, s, v)
 
@@ -84,6 +84,6 @@ def test_windows_separates_any_number_of_colours() -> None:
     places = [(40 + 60 * (k % 6), 40 + 60 * (k // 6)) for k in range(len(hues))]
     discs = [scenes.Disc(*at, 10.0, (b, g, r)) for at, (b, g, r) in zip(places, paints, strict=True)]
     picture = scenes.draw(scenes.wall(rng, 400, 240, 2.0), discs, rng, noise=0.5)
-    wanted = [between(((h - 4) % 180, 90, 50), ((h + 4) % 180, 255, 255)) for h in hues]
+    wanted = [range_between(((h - 4) % 180, 90, 50), ((h + 4) % 180, 255, 255)) for h in hues]
     found = blob_measurement.measured_blobs([picture], wanted)[0, :, 0, :2]
     assert np.abs(found - places).max() < 0.3

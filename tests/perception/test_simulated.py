@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bodylog.perception import observe
-from bodylog.settings import Colours, Settings
+from bodylog.perception import observe_recording
+from bodylog.settings import ColourSettings, Settings
 from bodylog.types import Array, Features
 
 FRAME, WITHIN = 1 / 20, 0.015
@@ -39,18 +39,18 @@ def _log(folder: Path, scenario: str, seed: int, **wishes: Any) -> tuple[Feature
     from mcap_ros2.decoder import DecoderFactory
 
     from bodylog import sim
-    from bodylog.recording.recording import read
+    from bodylog.recording.recording import read_recording
 
     path = folder / f"{scenario}{seed}.mcap"
-    sim.record(scenario, path, seed=seed, **wishes)
-    settings = Settings(colours=Colours(markers={"marker": "blue"} if wishes.get("marker") else {}))
-    recording = read(path, settings)
+    sim.record_scenario(scenario, path, seed=seed, **wishes)
+    settings = Settings(colours=ColourSettings(markers={"marker": "blue"} if wishes.get("marker") else {}))
+    recording = read_recording(path, settings)
     truth: dict[str, list[Any]] = {}
     with path.open("rb") as stream:
         for _, channel, _, message in make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
             if channel.topic.startswith("/truth/"):
                 truth.setdefault(channel.topic, []).append(message)
-    features = observe(recording, settings)
+    features = observe_recording(recording, settings)
     path.unlink()
     return features, recording.start_ns, truth
 

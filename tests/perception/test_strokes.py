@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bodylog.perception.touch.strokes import strokes
+from bodylog.perception.touch.strokes import find_strokes
 from bodylog.types import Array, Series
 
 CONTACTS = [(2.013, 2.9), (5.21, 6.437), (8.5, 9.32)]
@@ -34,7 +34,7 @@ def _track(rate: float, seed: int, curved: bool, noise: float = 0.1) -> Series:
 @pytest.mark.parametrize("rate", [15.0, 20.0, 30.0])
 @pytest.mark.parametrize("curved", [False, True])
 def test_strokes_begin_and_end_within_half_a_frame(rate: float, seed: int, curved: bool) -> None:
-    found = strokes(_track(rate, seed, curved))
+    found = find_strokes(_track(rate, seed, curved))
     assert len(found) == len(CONTACTS)
     for stroke, (start, end) in zip(found, CONTACTS, strict=True):
         assert stroke.start == pytest.approx(start, abs=0.5 / rate)
@@ -46,7 +46,7 @@ def test_strokes_begin_and_end_within_half_a_frame(rate: float, seed: int, curve
 def test_frames_lost_here_and_there_cost_no_stroke(seed: int) -> None:
     track = _track(20.0, seed, False)
     track.values[np.random.default_rng(100 + seed).random(len(track.t)) < 0.15] = np.nan
-    found = strokes(track)
+    found = find_strokes(track)
     assert len(found) == len(CONTACTS)
     for stroke, (start, end) in zip(found, CONTACTS, strict=True):
         assert stroke.start == pytest.approx(start, abs=0.05) and stroke.end == pytest.approx(end, abs=0.05)
@@ -57,5 +57,5 @@ def test_strokes_ignore_steady_resting_and_absent_hands() -> None:
     source = (t * 1e9).astype(np.int64)
     noise = np.random.default_rng(0).normal(0.0, 0.1, (len(t), 2))
     for place in (np.column_stack([40 * t, 30 * t]), np.full((len(t), 2), 100.0), np.full((len(t), 2), np.nan)):
-        assert strokes(Series(t, place + noise, ("u", "v"), "px", source)) == ()
-    assert strokes(Series(t[:0], noise[:0], ("u", "v"), "px", source[:0])) == ()
+        assert find_strokes(Series(t, place + noise, ("u", "v"), "px", source)) == ()
+    assert find_strokes(Series(t[:0], noise[:0], ("u", "v"), "px", source[:0])) == ()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import ConfigError
-from bodylog.perception import observe
+from bodylog.perception import observe_recording
 from bodylog.perception.touch.matching import match_touches
 from bodylog.settings import Settings
 from bodylog.types import Stroke, Touch
@@ -121,13 +121,13 @@ def test_match_refuses_an_invalid_offset() -> None:
 
 @pytest.mark.parametrize(("log", "delay"), [("touch.mcap", 0.0), ("touch_async.mcap", 0.6)])
 def test_touches_of_the_arm_logs_are_dated_and_judged(log: str, delay: float) -> None:
-    from bodylog.recording.recording import read
+    from bodylog.recording.recording import read_recording
 
     path = SHARED / "arm" / log
     if not path.exists():
         pytest.skip(f"{path} is not here")
     truth = np.load(f"{path}.truth.npz")["touches"]
-    features = observe(read(path, Settings()), Settings())
+    features = observe_recording(read_recording(path, Settings()), Settings())
     assert features.touches is not None and len(features.touches) == len(features.strokes) == len(truth)
     for touch, pair, (onset, offset, cell) in zip(features.touches, features.synchrony, truth, strict=True):
         assert touch.onset == pytest.approx(onset, abs=0.015) and touch.offset == pytest.approx(offset, abs=0.015)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bodylog.perception.tags import search, unknown
-from bodylog.perception.tags.quads import centres
+from bodylog.perception.tags.quads import centres_of_quads
 from bodylog.perception.tags.tags import TagTracker
 from bodylog.recording import recording
 from bodylog.settings import Settings
@@ -38,13 +38,13 @@ def world() -> World:
     """Some images of a log, what following gives in them, and the truth."""
     if not WORLDS.is_dir():
         pytest.skip("the rendered worlds (../shared/logs/worlds) are not at hand")
-    frames = recording.read(WORLDS / "tag_explore", Settings()).frames
+    frames = recording.read_recording(WORLDS / "tag_explore", Settings()).frames
     assert frames is not None
     images = [cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY) for frame in islice(frames(), *SOME)]
     tracker = TagTracker({"tag": TagSource(7), "rim": TagSource(7, corners=True)})
     with pytest.MonkeyPatch.context() as patch:
-        whole = Mock(wraps=search.whole)
-        patch.setattr(search, "whole", whole)
+        whole = Mock(wraps=search.search_whole_image)
+        patch.setattr(search, "search_whole_image", whole)
         for image in images:
             tracker.add(image)
     with np.load(WORLDS / "tag_explore.truth.npz") as truth:
@@ -79,9 +79,9 @@ def test_following_searches_few_images_and_misses_nothing_that_opencv_finds(worl
     assert world.searched <= (~world.seen).sum() + 0.1 * len(world.images)  # all of an image only where no tag was
     for k, (corners, numbers) in zip(some, theirs, strict=True):
         if numbers is not None:
-            assert np.hypot(*(world.values[k, 0, :2] - centres(corners[0].astype(float))[0])) < 2.0
+            assert np.hypot(*(world.values[k, 0, :2] - centres_of_quads(corners[0].astype(float))[0])) < 2.0
 
 
 def test_tag_is_named_without_a_configuration(world) -> None:
-    (found,) = unknown.present([cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in world.images[::40]])
+    (found,) = unknown.find_unknown_tags([cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in world.images[::40]])
     assert found.source == TagSource(7) and found.seen >= 5

@@ -12,7 +12,7 @@ from bodylog.types import (
     Fault,
     Features,
     Finding,
-    Frame,
+    LazyImage,
     Health,
     Recording,
     Score,
@@ -50,7 +50,7 @@ def recording(seed: int = 0, duration: float = 20.0, joints: tuple[str, ...] = J
         "joints": series(t, x + rng.normal(0, 0.02, x.shape), joints, "rad"),
         "skin": series(ts, skin, tuple(f"cell {c}" for c in range(30)), "1"),
         "truth": series(t, x, joints, "rad"),
-        "frames": lambda: iter(Frame(s, int(s * 1e9), lambda k: picture[::k, ::k]) for s in tf.tolist()),
+        "frames": lambda: iter(LazyImage(s, int(s * 1e9), lambda k: picture[::k, ::k]) for s in tf.tolist()),
         "features": None,
         "health": {
             "/joint_states": Health(len(t), len(t)),

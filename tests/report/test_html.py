@@ -7,8 +7,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from bodylog.report.page.page import write
-from bodylog.report.viewers.image_overlay import Picture, pictures
+from bodylog.report.page.page import write_report_page
+from bodylog.report.viewers.image_overlay import OverlayPicture, draw_pictures
 from bodylog.types import Fault, Finding, Health, Score, Stroke, Synchrony, Touch
 
 from .records import SCORES, UNSEEN, estimate, features, recording, series
@@ -20,7 +20,7 @@ LIMIT = 3_000_000
 def report(path, **changes):
     """A page with everything on it, and its text."""
     parts = {"estimate": estimate(), "features": features(), "recording": recording(), "scores": SCORES}
-    write(path, **(parts | {"pictures": (), "provenance": {}} | changes))
+    write_report_page(path, **(parts | {"pictures": (), "provenance": {}} | changes))
     return path.read_text(encoding="utf-8")
 
 
@@ -69,21 +69,21 @@ def hostile_parts():
         "features": features(tracks={name: features().tracks["effector"]}, findings=(Finding("lost", name),)),
         "recording": replace(log, roles={name: name}, health={name: Health(1, 0, {name: 1})}, format=name),
         "scores": (Score(name, 1.0, name),),
-        "pictures": (Picture(1.0, np.zeros((20, 30, 3), np.uint8), name),),
+        "pictures": (OverlayPicture(1.0, np.zeros((20, 30, 3), np.uint8), name),),
         "provenance": {name: name},
         "headline": {name: name},
     }
 
 
 def test_same_input_same_bytes(tmp_path):
-    drawn = pictures(recording(), features(), estimate())
+    drawn = draw_pictures(recording(), features(), estimate())
     first, second = (report(tmp_path / name, pictures=drawn, provenance={"version": "1"}) for name in ("a", "b"))
     assert first == second
     assert len(first) > 100_000
 
 
 def test_page_shows_every_part(tmp_path):
-    drawn = pictures(recording(), features(), estimate(), 6)
+    drawn = draw_pictures(recording(), features(), estimate(), 6)
     page = report(tmp_path / "r.html", pictures=drawn, provenance={"sha256": "ab"})
     assert titles(page) == [
         *(f"{name}{what}" for name in recording().joints.names for what in (", rad", " minus truth, rad")),
@@ -181,7 +181,7 @@ def test_page_without_plots_has_no_script(tmp_path):
 
 
 def test_page_needs_no_network(tmp_path):
-    page = report(tmp_path / "r.html", pictures=pictures(recording(), features(), estimate()))
+    page = report(tmp_path / "r.html", pictures=draw_pictures(recording(), features(), estimate()))
     assert not re.search(r"(https?:)?//[a-z]", re.sub(r'base64,[^"]*|"[A-Za-z0-9+/=]{40,}"', "", page))
     loading = [(tag, at) for tag, at in Elements(page).found if "src" in at or tag in ("link", "iframe", "object")]
     assert all(tag == "img" and at["src"].startswith("data:image/jpeg;base64,") for tag, at in loading)
@@ -203,7 +203,7 @@ def test_long_wide_and_busy_logs_stay_below_the_limit(tmp_path, seed):
     names = tuple(f"joint_{m}_of_a_long_named_robot" for m in (7, 64, 200)[seed : seed + 1] for m in range(m))
     duration = (1200.0, 60.0, 20.0)[seed]
     log = recording(seed, duration, names)
-    noise = [Picture(float(k), rng.integers(0, 255, (360, 480, 3), dtype=np.uint8), "noise") for k in range(6)]
+    noise = [OverlayPicture(float(k), rng.integers(0, 255, (360, 480, 3), dtype=np.uint8), "noise") for k in range(6)]
     n = 20_000
     touches = tuple(Touch(i * 1e-3, i * 1e-3 + 1e-4, tuple(range(117)), 1.0, 0, i) for i in range(n))
     strokes = tuple(Stroke(i * 1e-3, i * 1e-3 + 1e-4, (0.0, 0.0), (1.0, 1.0)) for i in range(n))

@@ -1,7 +1,7 @@
 import json
 from dataclasses import replace
 
-from bodylog.report.viewers.foxglove import layout, write
+from bodylog.report.viewers.foxglove import build_layout, write_foxglove_layout
 
 from .records import estimate
 
@@ -13,7 +13,7 @@ def _panels(tree):
 
 
 def test_layout_shows_exactly_the_configured_panels():
-    made = layout("/cam", estimate(), {"side": "/side/image"})
+    made = build_layout("/cam", estimate(), {"side": "/side/image"})
     side = made["configById"]["Image!side"]["imageMode"]
     assert side["imageTopic"] == "/side/image" and list(side["annotations"]) == ["/bodylog/annotations/side"]
     assert _panels(made["layout"]) == set(made["configById"])
@@ -31,14 +31,14 @@ def test_lines_are_named_for_joints_and_senses(tmp_path, robot, run_cli):
 
 def test_same_bytes_twice(tmp_path):
     for name in ("a", "b"):
-        write(tmp_path / name, None, estimate(), {})
+        write_foxglove_layout(tmp_path / name, None, estimate(), {})
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 def test_layout_quotes_topics_with_special_characters():
     found = estimate()
     (sense, errors), *_ = found.errors.items()
-    made = layout("/cam", replace(found, errors={'front-camera/"a\\': errors, sense: errors}), {})
+    made = build_layout("/cam", replace(found, errors={'front-camera/"a\\': errors, sense: errors}), {})
     values = [line["value"] for line in made["configById"]["Plot!errors"]["paths"]]
     assert values[0] == '"/bodylog/prediction_error/front-camera/\\"a\\\\".data[0]'
     assert values[-1].startswith(f"/bodylog/prediction_error/{sense}.data[")

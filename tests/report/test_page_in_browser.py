@@ -1,6 +1,6 @@
 import pytest
 
-from bodylog.report.viewers.image_overlay import pictures
+from bodylog.report.viewers.image_overlay import draw_pictures
 
 from .browser import BROWSER, DRIVER, page
 from .records import estimate, features, recording
@@ -24,7 +24,7 @@ def window():
 @pytest.fixture
 def whole(tmp_path, window):
     """The window with a page of everything in it."""
-    report(tmp_path / "r.html", pictures=pictures(recording(), features(), estimate()))
+    report(tmp_path / "r.html", pictures=draw_pictures(recording(), features(), estimate()))
     window.open(tmp_path / "r.html")
     return window
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.report.figures import figures, reprojection
-from bodylog.report.figures.reprojection import Sheet, Zero, section, sheets, zeros
+from bodylog.report.figures.reprojection import ReprojectionSheet, JointZero, render_section, build_sheets, parse_zeros
 
 from .records import estimate, features, series
 
@@ -27,7 +27,7 @@ def some(off=3.0):
 
 def test_sheets_pair_measured_and_expected_points():
     seen, found = some()
-    (sheet,) = sheets(seen, found)
+    (sheet,) = build_sheets(seen, found)
     known = np.isfinite(seen.tracks["effector"].values).all(axis=1)
     np.testing.assert_array_equal(sheet.measured, seen.tracks["effector"].values[known])
     alone, both = sheet.errors
@@ -37,13 +37,13 @@ def test_sheets_pair_measured_and_expected_points():
 
 def test_sheets_omit_tracks_without_kinematics_or_sightings():
     seen, found = some()
-    assert sheets(seen, estimate()) == () and sheets(replace(seen, tracks={}), found) == ()
+    assert build_sheets(seen, estimate()) == () and build_sheets(replace(seen, tracks={}), found) == ()
     blind = replace(seen.tracks["effector"], values=np.full_like(seen.tracks["effector"].values, np.nan))
-    assert sheets(replace(seen, tracks={"effector": blind}), found) == ()
+    assert build_sheets(replace(seen, tracks={"effector": blind}), found) == ()
 
 
 def test_zeros_show_their_std_or_why_they_are_not_identifiable():
-    lift, rail, pan = zeros(TOLD)
+    lift, rail, pan = parse_zeros(TOLD)
     assert lift.shown == ("+2.00° ± 0.10°", "+0.03490 ± 0.00170 rad")
     assert rail.shown[0] == "-2.00 mm ± 0.50 mm"
     assert pan.shown == ("not identifiable: camera's turn about the z axis of base", "")
@@ -52,23 +52,23 @@ def test_zeros_show_their_std_or_why_they_are_not_identifiable():
 @pytest.mark.parametrize("given", [None, 3, {"a": 1}, {"a": {"std": "x"}}, {"a": {"value": True, "std": 1.0}},
                                   {"a": {"value": float("nan"), "std": 1.0}}])  # fmt: skip
 def test_zeros_leaves_out_invalid_entries(given):
-    assert zeros(given) == ()
+    assert parse_zeros(given) == ()
 
 
 def test_page_escapes_names_and_figures_are_drawn(tmp_path):
     name = "<b>$x_1$&"
     point = np.array([[0.0, 0.0], [5.0, 3.0]])
-    drawn = [Sheet(name, point, point + 1.0, point), Sheet("still", point[:1], point[:1], point[:1])]
-    text = section(drawn, [Zero(name, None, 1.0, "rad", (name,))])
+    drawn = [ReprojectionSheet(name, point, point + 1.0, point), ReprojectionSheet("still", point[:1], point[:1], point[:1])]
+    text = render_section(drawn, [JointZero(name, None, 1.0, "rad", (name,))])
     assert "<b>" not in text and "&lt;b&gt;$x_1$&amp;" in text and text.count("<svg") == 2
-    assert section((), ()) == ""
-    figures.reprojection_figure(drawn, zeros(TOLD), tmp_path / "a.png")
-    figures.reprojection_figure(drawn, zeros(TOLD), tmp_path / "b.png")
+    assert render_section((), ()) == ""
+    figures.reprojection_figure(drawn, parse_zeros(TOLD), tmp_path / "a.png")
+    figures.reprojection_figure(drawn, parse_zeros(TOLD), tmp_path / "b.png")
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def test_section_draws_the_first_tracks_and_counts_the_rest():
     point = np.array([[0.0, 0.0], [5.0, 3.0]])
-    many = [Sheet(f"corner.{k}", point, point, point) for k in range(40)]
-    text = section(many, ())
+    many = [ReprojectionSheet(f"corner.{k}", point, point, point) for k in range(40)]
+    text = render_section(many, ())
     assert text.count("<svg") == reprojection.TRACKS and "the first 12 of 40 tracks" in text

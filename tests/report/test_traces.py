@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bodylog.report.page.traces import panels
+from bodylog.report.page.traces import list_panels
 from tests.report import records
 
 
@@ -20,5 +20,5 @@ def test_offsets_are_drawn_of_the_joints_that_faults_name(named, drawn):
     faults = () if named is None else (records.Fault("encoders", named, "drifting", 8.0, 0.3, "rad"),)
     offsets = records.series(found.joints.t, np.full(found.joints.values.shape, 0.1), records.JOINTS, "rad")
     found = records.estimate(faults=faults, bias=offsets)
-    (panel,) = [one for one in panels(records.recording(), records.features(), found) if "offset" in one.title]
+    (panel,) = [one for one in list_panels(records.recording(), records.features(), found) if "offset" in one.title]
     assert {trace.name for trace in panel.traces} == drawn

@@ -83,7 +83,7 @@ def test_points_lie_where_and_when_the_log_says(seen, annotated):
     from bodylog.recording import recording
     from bodylog.settings import Settings
 
-    estimate, track = log.read_estimate(annotated), recording.read(annotated, Settings()).features.effector
+    estimate, track = log.read_estimate(annotated), recording.read_recording(annotated, Settings()).features.effector
     for name, series in (("seen", track), ("predicted", estimate.predicted["effector"])):
         ns, points = values(seen, rf"/camera/image/compressed/effector\ {name}", "Points2D:positions")
         order = np.argsort(ns, kind="stable")
@@ -202,12 +202,12 @@ def test_view_falls_back_to_topics_with_roles(run_cli, tmp_path, capsys):
 
 @there
 @pytest.mark.parametrize("cameras", [
-    {}, {"": rerun_recording.Camera(f"/{HOSTILE}/image", "")}, {"": rerun_recording.Camera("/cam", HOSTILE)}
+    {}, {"": rerun_recording.RerunCamera(f"/{HOSTILE}/image", "")}, {"": rerun_recording.RerunCamera("/cam", HOSTILE)}
 ])  # fmt: skip
 def test_names_are_names_whatever_signs_they_hold(tmp_path, cameras):
     log = hostile_parts()
     found = log["features"]
-    rerun_recording.write(tmp_path / "h.rrd", HOSTILE, (), cameras, found, log["estimate"], log["recording"].truth)
+    rerun_recording.write_companion(tmp_path / "h.rrd", HOSTILE, (), cameras, found, log["estimate"], log["recording"].truth)
     assert "1 file verified without error" in rerun(tmp_path, "rrd", "verify", tmp_path / "h.rrd")
     printed = rerun(tmp_path, "rrd", "print", tmp_path / "h.rrd")
     assert printed.count("/bodylog/belief/") >= 6 and "/bodylog/events" in printed
@@ -216,18 +216,18 @@ def test_names_are_names_whatever_signs_they_hold(tmp_path, cameras):
 
 @there
 def test_events_are_in_order_with_their_synchrony():
-    given = rerun_recording.events(features(), estimate())
+    given = rerun_recording.list_events(features(), estimate())
     assert [ns for ns, *_ in given] == sorted(ns for ns, *_ in given) and len(given) == 6
     assert given[0][2] == "touch of cells 11, 12, 13, seen +0.050 s later, synchrony 0.93"
     assert [text for _, level, text in given if level == "WARN"] == ["encoders shoulder_pan_joint: drift, 0.3 rad"]
-    assert rerun_recording.events(None, None) == []
+    assert rerun_recording.list_events(None, None) == []
 
 
 @there
 def test_rerun_failure_is_one_line_and_leaves_nothing(tmp_path):
     (tmp_path / "a.mcap").write_bytes(b"no log at all" * 100)
     with pytest.raises(LogError, match=r"a\.mcap: Rerun cannot read it \(.+\); type: bodylog doctor") as refused:
-        rerun_process.recording(tmp_path / "a.mcap", tmp_path / "a.rrd", "a", lambda *_: None, lambda _: None)
+        rerun_process.merge_recording(tmp_path / "a.mcap", tmp_path / "a.rrd", "a", lambda *_: None, lambda _: None)
     assert "\n" not in str(refused.value) and sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap"]
 
 
@@ -247,4 +247,4 @@ def test_view_without_a_screen_gives_the_command_to_type(annotated, run_cli, mon
 def test_missing_rerun_gives_the_command_to_type(monkeypatch):
     monkeypatch.setattr(rerun_process, "find_spec", lambda name: None)
     with pytest.raises(UsageError, match=r"pip install 'bodylog\[view\]'"):
-        rerun_process.ready()
+        rerun_process.require_rerun()

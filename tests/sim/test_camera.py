@@ -48,7 +48,7 @@ def test_drawn_sphere_has_its_centroid_at_the_truth(seed):
     for _ in range(20):
         centre = place(*rng.uniform([20, 20], [300, 220]), rng.uniform(0.7, 1.5))
         picture, depth = blank()
-        share = cameras.sphere(picture, depth, CAMERA, centre, 0.025, GREEN)
+        share = cameras.draw_sphere(picture, depth, CAMERA, centre, 0.025, GREEN)
         assert share == pytest.approx(1.0, abs=0.02)
         weight = picture[..., 1].astype(float) - 60
         rows, columns = np.indices(weight.shape)
@@ -60,28 +60,28 @@ def test_drawn_sphere_has_its_centroid_at_the_truth(seed):
 def test_sphere_is_hidden_by_nearer_things():
     centre = place(100, 100, 1.0)
     picture, depth = blank()
-    cameras.card(picture, depth, (0, 0, 320, 240), 0.9)
+    cameras.draw_card(picture, depth, (0, 0, 320, 240), 0.9)
     before = picture.copy()
-    assert cameras.sphere(picture, depth, CAMERA, centre, 0.025, GREEN) == 0.0
+    assert cameras.draw_sphere(picture, depth, CAMERA, centre, 0.025, GREEN) == 0.0
     np.testing.assert_array_equal(picture, before)
     picture, depth = blank()
-    cameras.card(picture, depth, (0, 0, 100, 240), 0.9)
-    assert cameras.sphere(picture, depth, CAMERA, centre, 0.025, GREEN) == pytest.approx(0.5, abs=0.1)
+    cameras.draw_card(picture, depth, (0, 0, 100, 240), 0.9)
+    assert cameras.draw_sphere(picture, depth, CAMERA, centre, 0.025, GREEN) == pytest.approx(0.5, abs=0.1)
 
 
 @pytest.mark.parametrize("u, v, low, high", [(0, 120, 0.4, 0.6), (-40, 120, 0.0, 0.0), (160, 400, 0.0, 0.0)])
 def test_sphere_at_or_past_the_border(u, v, low, high):
     picture, depth = blank()
-    assert low <= cameras.sphere(picture, depth, CAMERA, place(u, v, 1.0), 0.025, GREEN) <= high
+    assert low <= cameras.draw_sphere(picture, depth, CAMERA, place(u, v, 1.0), 0.025, GREEN) <= high
 
 
 def test_sphere_behind_the_camera_is_not_drawn():
     picture, depth = blank()
-    assert cameras.sphere(picture, depth, CAMERA, place(160, 120, -1.0), 0.025, GREEN) == 0.0
+    assert cameras.draw_sphere(picture, depth, CAMERA, place(160, 120, -1.0), 0.025, GREEN) == 0.0
 
 
 def test_background_is_grey():
-    wall = cameras.background(CAMERA, np.random.default_rng(4)).astype(int)
+    wall = cameras.draw_background(CAMERA, np.random.default_rng(4)).astype(int)
     assert np.ptp(wall, axis=2).max() <= 6
     assert 30 < wall.mean() < 90
 
@@ -90,6 +90,6 @@ def test_noise_differs_between_pictures_and_has_two_grey_levels():
     rng = np.random.default_rng(1)
     noise = cameras.sensor_noise(CAMERA, rng)
     flat = np.full((240, 320, 3), 100, np.uint8)
-    first, second = cameras.expose(flat, noise, rng).astype(float), cameras.expose(flat, noise, rng).astype(float)
+    first, second = cameras.expose_image(flat, noise, rng).astype(float), cameras.expose_image(flat, noise, rng).astype(float)
     assert first.std() == pytest.approx(2.02, abs=0.03)
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.02

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.sim import record
+from bodylog.sim import record_scenario
 from tests.seeds import seeds
 
 from . import reading
@@ -28,7 +28,7 @@ def centroid(picture, channel):
 @pytest.mark.parametrize("seed", seeds(1, 3))
 def test_truth_is_where_a_tracker_finds_the_blob(tmp_path, image, scenario, topic, channel, seed):
     options = {"size": (320, 240), "image": image, "marker": topic == "marker"}
-    record(scenario, tmp_path / "a.mcap", seed=seed, duration=4.0, **options)
+    record_scenario(scenario, tmp_path / "a.mcap", seed=seed, duration=4.0, **options)
     topics = reading.read(tmp_path / "a.mcap")
     truth = reading.pixels(topics, f"/truth/{topic}_pixel")
     errors = [centroid(picture, channel) - truth[t] for t, picture in reading.pictures(topics) if t in truth]
@@ -40,7 +40,7 @@ def test_truth_is_where_a_tracker_finds_the_blob(tmp_path, image, scenario, topi
 
 @pytest.mark.parametrize("arm", ["ur5", "seven"])
 def test_side_camera_shows_the_same_arm_at_other_instants(tmp_path, arm):
-    record("reach", tmp_path / "a.mcap", seed=3, duration=6.0, size=(160, 120), arm=arm, cameras=2)
+    record_scenario("reach", tmp_path / "a.mcap", seed=3, duration=6.0, size=(160, 120), arm=arm, cameras=2)
     topics = reading.read(tmp_path / "a.mcap")
     truth = reading.pixels(topics, "/truth/side/effector_pixel")
     shown = dict(reading.pictures(topics, "/side"))
@@ -52,7 +52,7 @@ def test_side_camera_shows_the_same_arm_at_other_instants(tmp_path, arm):
 
 
 def test_turning_head_adds_a_joint_and_turns_its_camera(tmp_path):
-    record("touch", tmp_path / "a.mcap", seed=3, duration=6.0, size=(320, 240), turning=True)
+    record_scenario("touch", tmp_path / "a.mcap", seed=3, duration=6.0, size=(320, 240), turning=True)
     topics = reading.read(tmp_path / "a.mcap")
     _, angles, names = reading.positions(topics, "/truth/joint_states")
     turn = angles[:, names.index("head_pan_joint")]
@@ -75,17 +75,17 @@ def test_turning_head_adds_a_joint_and_turns_its_camera(tmp_path):
 def test_second_camera_does_not_change_the_first(tmp_path):
     logs = []
     for cameras in (1, 2):
-        record("touch", tmp_path / "a.mcap", seed=3, duration=2.0, size=(96, 64), cameras=cameras)
+        record_scenario("touch", tmp_path / "a.mcap", seed=3, duration=2.0, size=(96, 64), cameras=cameras)
         logs.append(reading.read(tmp_path / "a.mcap"))
     for topic in ("/camera/image/compressed", "/truth/effector_pixel", "/joint_states", "/skin"):
         assert [str(row) for row in logs[0][topic]] == [str(row) for row in logs[1][topic]]
     assert not any("side" in topic for topic in logs[0])
     with pytest.raises(UsageError, match="cameras is 3; possible: 1 to 2; type: --cameras"):
-        record("touch", tmp_path / "a.mcap", cameras=3)
+        record_scenario("touch", tmp_path / "a.mcap", cameras=3)
 
 
 def test_hand_is_whole_in_the_picture_exactly_when_the_truth_says_so(tmp_path):
-    record("touch", tmp_path / "a.mcap", duration=6.0, size=(320, 240))
+    record_scenario("touch", tmp_path / "a.mcap", duration=6.0, size=(320, 240))
     topics = reading.read(tmp_path / "a.mcap")
     truth = reading.pixels(topics, "/truth/hand_pixel")
     for t, picture in reading.pictures(topics):

@@ -7,7 +7,7 @@ from bodylog.errors import UsageError
 from bodylog.sim.arms import ARMS
 from bodylog.sim.hardware import Hardware, add_play, add_stick, encoder_noise, parse_hardware, rounded_to_counts
 from bodylog.sim.joint_motion import move_joints
-from bodylog.sim.motion import wander
+from bodylog.sim.motion import wander_through_points
 
 from . import reading
 
@@ -19,7 +19,7 @@ PIXEL = "/truth/effector_pixel"
 
 def path(arm="ur5"):
     home = np.array(ARMS[arm].home)
-    return wander(home + 0.3 * np.random.default_rng(3).standard_normal((22, len(home))), 1.0)
+    return wander_through_points(home + 0.3 * np.random.default_rng(3).standard_normal((22, len(home))), 1.0)
 
 
 def test_every_error_is_typed_in_the_unit_that_help_names():
@@ -122,13 +122,13 @@ def test_without_errors_the_path_is_the_commanded_one():
 def recorded(tmp_path_factory):
     """Read a recording with these errors and quiet encoders."""
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
-    from bodylog.sim import record
+    from bodylog.sim import record_scenario
 
     folder = tmp_path_factory.mktemp("hardware")
 
     def read(hardware, duration=2.0):
         log = folder / f"{abs(hash((hardware, duration)))}.mcap"
-        record("babble", log, seed=3, duration=duration, size=(64, 48), noise=1e-6, hardware=hardware)
+        record_scenario("babble", log, seed=3, duration=duration, size=(64, 48), noise=1e-6, hardware=hardware)
         return reading.read(log)
 
     return read
@@ -175,11 +175,11 @@ def test_the_log_says_what_it_was_recorded_with_and_repeats_its_bytes(tmp_path):
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     from mcap.reader import make_reader
 
-    from bodylog.sim import record
+    from bodylog.sim import record_scenario
 
     logs = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for log in logs:
-        record("reach", log, seed=3, duration=1.0, size=(64, 48), hardware="correlated=0.002@2s,jitter=0.001,stick=1")
+        record_scenario("reach", log, seed=3, duration=1.0, size=(64, 48), hardware="correlated=0.002@2s,jitter=0.001,stick=1")
     assert logs[0].read_bytes() == logs[1].read_bytes()
     with logs[0].open("rb") as stream:
         (metadata,) = (one.metadata for one in make_reader(stream).iter_metadata())

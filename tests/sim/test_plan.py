@@ -13,16 +13,16 @@ def request(duration=30.0, full=False, seed=0):
 
 
 def test_only_the_moving_joints_swing_unless_full():
-    np.testing.assert_array_equal(plan.swing(request()) > 0, [1, 1, 1, 0, 0, 0])
-    np.testing.assert_array_equal(plan.swing(request(), (0, 3)) > 0, [1, 0, 0, 1, 0, 0])
-    np.testing.assert_array_equal(plan.swing(request(full=True)), ARMS["ur5"].swing)
+    np.testing.assert_array_equal(plan.swing_of_joints(request()) > 0, [1, 1, 1, 0, 0, 0])
+    np.testing.assert_array_equal(plan.swing_of_joints(request(), (0, 3)) > 0, [1, 0, 0, 1, 0, 0])
+    np.testing.assert_array_equal(plan.swing_of_joints(request(full=True)), ARMS["ur5"].swing)
 
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("most", [0.0, 0.6, 1.0])
 def test_strokes_never_overlap_in_skin_or_picture(seed, most):
     asked = request(seed=seed)
-    contacts = plan.strokes(asked, 2.0, lambda: asked.rng.uniform(0, most))
+    contacts = plan.plan_strokes(asked, 2.0, lambda: asked.rng.uniform(0, most))
     assert 5 <= len(contacts) <= 14 and contacts[0].onset == 2.0
     for before, after in pairwise(contacts):
         for late in (0.0, 1.0):
@@ -34,13 +34,13 @@ def test_strokes_never_overlap_in_skin_or_picture(seed, most):
 
 def test_exploration_covers_what_reaching_uses():
     asked, t = request(60.0), np.linspace(0, 60, 3000)
-    swing = plan.swing(asked)
-    wide, narrow = plan.explore(asked, swing).position(t), plan.reach(asked, swing).position(t)
+    swing = plan.swing_of_joints(asked)
+    wide, narrow = plan.plan_exploration(asked, swing).position(t), plan.plan_reaches(asked, swing).position(t)
     assert np.all(wide.min(0) <= narrow.min(0)) and np.all(wide.max(0) >= narrow.max(0))
 
 
 def test_choices():
-    assert plan.choose("touch", "variant", None, ("a", "b")) == "a"
-    assert plan.choose("touch", "variant", "b", ("a", "b")) == "b"
+    assert plan.choose_or_default("touch", "variant", None, ("a", "b")) == "a"
+    assert plan.choose_or_default("touch", "variant", "b", ("a", "b")) == "b"
     with pytest.raises(UsageError, match="leave --place out"):
-        plan.choose("touch", "place", "left", ("",))
+        plan.choose_or_default("touch", "place", "left", ("",))

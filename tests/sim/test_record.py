@@ -6,7 +6,7 @@ from mcap.reader import make_reader
 from pybag.mcap_reader import McapFileReader
 
 from bodylog.errors import UsageError
-from bodylog.sim import record
+from bodylog.sim import record_scenario
 from bodylog.sim.arms import ARMS
 from bodylog.sim.stage import START_NS
 
@@ -20,7 +20,7 @@ SMALL = {"size": (160, 120)}
 @pytest.fixture(scope="module")
 def touch(tmp_path_factory):
     path = tmp_path_factory.mktemp("record") / "touch.mcap"
-    record("touch", path, seed=4, duration=6.0, **SMALL)
+    record_scenario("touch", path, seed=4, duration=6.0, **SMALL)
     return path
 
 
@@ -72,20 +72,20 @@ def test_messages_are_logged_a_few_ms_after_their_stamp(topics):
 
 
 def test_same_arguments_same_bytes(touch, tmp_path):
-    record("touch", tmp_path / "again.mcap", seed=4, duration=6.0, **SMALL)
+    record_scenario("touch", tmp_path / "again.mcap", seed=4, duration=6.0, **SMALL)
     assert (tmp_path / "again.mcap").read_bytes() == touch.read_bytes()
 
 
 def test_seeds_differ(tmp_path):
     paths = []
     for seed in (0, 1):
-        record("reach", tmp_path / f"{seed}.mcap", seed=seed, duration=0.5, **SMALL)
+        record_scenario("reach", tmp_path / f"{seed}.mcap", seed=seed, duration=0.5, **SMALL)
         paths.append(reading.positions(reading.read(tmp_path / f"{seed}.mcap"), "/truth/joint_states")[1])
     assert np.abs(paths[0] - paths[1]).max() > 0.05
 
 
 def test_encoders_are_alphabetical_true_and_as_noisy_as_asked(tmp_path):
-    record("reach", tmp_path / "a.mcap", duration=4.0, noise=0.05, **SMALL)
+    record_scenario("reach", tmp_path / "a.mcap", duration=4.0, noise=0.05, **SMALL)
     topics = reading.read(tmp_path / "a.mcap")
     t, read, names = reading.positions(topics, "/joint_states")
     true_t, truth, true_names = reading.positions(topics, "/truth/joint_states")
@@ -99,7 +99,7 @@ def test_encoders_are_alphabetical_true_and_as_noisy_as_asked(tmp_path):
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_pose_pixel_camera_info_and_tf_agree(arm, tmp_path):
-    record("babble", tmp_path / "a.mcap", duration=1.0, arm=arm, full=True, **SMALL)
+    record_scenario("babble", tmp_path / "a.mcap", duration=1.0, arm=arm, full=True, **SMALL)
     topics = reading.read(tmp_path / "a.mcap")
     info = topics["/camera/camera_info"][0].message
     k, frames = info.k.reshape(3, 3), {row.t: row.message for row in topics["/tf"]}
@@ -128,7 +128,7 @@ def _inverse(transform, point):
 
 def test_raw_and_jpeg_show_the_same(tmp_path):
     for image in ("raw", "jpeg"):
-        record("reach", tmp_path / f"{image}.mcap", duration=0.2, image=image, **SMALL)
+        record_scenario("reach", tmp_path / f"{image}.mcap", duration=0.2, image=image, **SMALL)
     raw, jpeg = (reading.pictures(reading.read(tmp_path / f"{image}.mcap")) for image in ("raw", "jpeg"))
     assert [t for t, _ in raw] == [t for t, _ in jpeg]
     for (_, one), (_, other) in zip(raw, jpeg, strict=True):
@@ -137,7 +137,7 @@ def test_raw_and_jpeg_show_the_same(tmp_path):
 
 def test_progress_counts_pictures(tmp_path):
     counts = []
-    record("reach", tmp_path / "a.mcap", duration=0.5, progress=counts.append, **SMALL)
+    record_scenario("reach", tmp_path / "a.mcap", duration=0.5, progress=counts.append, **SMALL)
     assert counts == [1] * 10
 
 
@@ -159,7 +159,7 @@ def test_progress_counts_pictures(tmp_path):
 def test_record_names_impossible_options(tmp_path, wrong, words):
     arguments = {"scenario": "touch", "out": tmp_path / "x.mcap", **wrong}
     with pytest.raises(UsageError, match=words) as caught:
-        record(**arguments)
+        record_scenario(**arguments)
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())
 
@@ -167,5 +167,5 @@ def test_record_names_impossible_options(tmp_path, wrong, words):
 def test_record_without_pybullet_leaves_no_output(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(UsageError, match=r"bodylog\[sim\]"):
-        record("reach", tmp_path / "x.mcap")
+        record_scenario("reach", tmp_path / "x.mcap")
     assert not list(tmp_path.iterdir())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bodylog.sim.scenarios
-from bodylog.sim import SCENARIOS, record
+from bodylog.sim import SCENARIOS, record_scenario
 from bodylog.sim.arms import ARMS
 from tests.seeds import seeds
 
@@ -17,7 +17,7 @@ EVERY = [(name, variant) for name, entry in SCENARIOS.items() for variant in ent
 
 
 def played(tmp_path, scenario, **options):
-    record(scenario, tmp_path / "log.mcap", **{**SMALL, **options})
+    record_scenario(scenario, tmp_path / "log.mcap", **{**SMALL, **options})
     return reading.read(tmp_path / "log.mcap")
 
 

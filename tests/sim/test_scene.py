@@ -8,7 +8,7 @@ from bodylog_cli.commands import bodylog
 from bodylog_cli.record import record as command
 
 from bodylog.errors import UsageError
-from bodylog.sim import record
+from bodylog.sim import record_scenario
 from bodylog.sim.options import Options
 from bodylog.sim.scene import FOREIGN_TAG, TAG, Cylinder, studs
 from tests.seeds import seeds
@@ -32,7 +32,7 @@ def transform(message):
 @pytest.mark.parametrize("seed", seeds(1, 3))
 def test_opencv_finds_the_tag_where_truth_says_it_is(tmp_path, arm, camera, share, seed):
     options = {"arm": arm, "camera": camera, "feature": "tag", "clutter": True, "full": True}
-    record("babble", tmp_path / "a.mcap", seed=seed, duration=1.5, **options)
+    record_scenario("babble", tmp_path / "a.mcap", seed=seed, duration=1.5, **options)
     topics = reading.read(tmp_path / "a.mcap")
     truth = reading.pixels(topics, "/truth/effector_pixel")
     found = {t: tags(picture) for t, picture in reading.pictures(topics)}
@@ -45,7 +45,7 @@ def test_opencv_finds_the_tag_where_truth_says_it_is(tmp_path, arm, camera, shar
 def test_clutter_has_the_features_colour_is_bigger_and_nearer_and_never_moves(tmp_path):
     logs = []
     for clutter in (False, True):
-        record("babble", tmp_path / "a.mcap", seed=1, duration=1.0, clutter=clutter)
+        record_scenario("babble", tmp_path / "a.mcap", seed=1, duration=1.0, clutter=clutter)
         logs.append(reading.read(tmp_path / "a.mcap"))
     truth = reading.pixels(logs[0], "/truth/effector_pixel")
     assert len(truth) == 20 and str(truth) == str(reading.pixels(logs[1], "/truth/effector_pixel"))
@@ -73,7 +73,7 @@ def green(picture):
 
 def test_parts_have_separate_topics_rates_and_clocks(tmp_path):
     options = {"split_joints": True, "turning": True, "size": (96, 64), "noise": 0.001}
-    record("reach", tmp_path / "a.mcap", seed=3, duration=8.0, **options)
+    record_scenario("reach", tmp_path / "a.mcap", seed=3, duration=8.0, **options)
     topics = reading.read(tmp_path / "a.mcap")
     assert "/joint_states" not in topics
     t, truth, names = reading.positions(topics, "/truth/joint_states")
@@ -90,7 +90,7 @@ def test_parts_have_separate_topics_rates_and_clocks(tmp_path):
 
 @pytest.mark.parametrize("feature", ["tag", "ball"])
 def test_wrist_camera_sees_the_scene_through_the_chain(tmp_path, feature):
-    record("babble", tmp_path / "a.mcap", seed=2, duration=3.0, size=(320, 240), camera="wrist", feature=feature)
+    record_scenario("babble", tmp_path / "a.mcap", seed=2, duration=3.0, size=(320, 240), camera="wrist", feature=feature)
     topics = reading.read(tmp_path / "a.mcap")
     k = topics["/camera/camera_info"][0].message.k.reshape(3, 3)
     (static,) = topics["/tf_static"][0].message.transforms
@@ -114,13 +114,13 @@ def test_wrist_camera_sees_the_scene_through_the_chain(tmp_path, feature):
 def test_feature_size_is_that_of_its_image(tmp_path):
     widths = []
     for size in (0.03, 0.06):
-        record("babble", tmp_path / "a.mcap", duration=0.1, size=(320, 240), feature_size=size)
+        record_scenario("babble", tmp_path / "a.mcap", duration=0.1, size=(320, 240), feature_size=size)
         widths.append(np.sqrt(green(reading.pictures(reading.read(tmp_path / "a.mcap"))[0][1]).sum()))
     assert widths[1] == pytest.approx(2 * widths[0], rel=0.05)
 
 
 def test_feature_off_removes_drawing_and_truth(tmp_path):
-    record("reach", tmp_path / "a.mcap", duration=0.2, size=(160, 120), feature="none")
+    record_scenario("reach", tmp_path / "a.mcap", duration=0.2, size=(160, 120), feature="none")
     topics = reading.read(tmp_path / "a.mcap")
     assert "/truth/effector_pixel" not in topics and "/truth/effector_pose" in topics
     assert not any(green(picture).any() for _, picture in reading.pictures(topics))
@@ -129,7 +129,7 @@ def test_feature_off_removes_drawing_and_truth(tmp_path):
 def test_scene_is_deterministic(tmp_path):
     options = {"feature": "tag", "clutter": True, "split_joints": True, "camera": "wrist", "size": (96, 64)}
     for name in ("a", "b"):
-        record("babble", tmp_path / f"{name}.mcap", seed=5, duration=0.5, **options)
+        record_scenario("babble", tmp_path / f"{name}.mcap", seed=5, duration=0.5, **options)
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
@@ -150,7 +150,7 @@ def test_scene_is_deterministic(tmp_path):
 )
 def test_scene_names_impossible_options(tmp_path, wrong, words):
     with pytest.raises(UsageError, match=words):
-        record(**{"scenario": "reach", "out": tmp_path / "x.mcap", "duration": 6.0, **wrong})
+        record_scenario(**{"scenario": "reach", "out": tmp_path / "x.mcap", "duration": 6.0, **wrong})
     assert not list(tmp_path.iterdir())
 
 
@@ -171,8 +171,8 @@ def test_bare_arm_has_studs_on_its_links_and_no_feature(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(local[:, :2], axis=1), 0.05, atol=1e-12)
     assert np.abs(local[:, 2]).max() < 0.15
     assert all(len(set(ball.colour)) == 1 for _, ball in found)
-    record("reach", tmp_path / "bare.mcap", duration=0.2, size=(160, 120), scene="bare")
-    record("reach", tmp_path / "again.mcap", duration=0.2, size=(160, 120), scene="bare")
+    record_scenario("reach", tmp_path / "bare.mcap", duration=0.2, size=(160, 120), scene="bare")
+    record_scenario("reach", tmp_path / "again.mcap", duration=0.2, size=(160, 120), scene="bare")
     assert (tmp_path / "bare.mcap").read_bytes() == (tmp_path / "again.mcap").read_bytes()
     topics = reading.read(tmp_path / "bare.mcap")
     assert "/robot_description" in topics

@@ -6,15 +6,15 @@ from bodylog.sim.plan import Contact
 from bodylog.sim.world import HAND_RADIUS
 
 CONTACT = Contact(onset=2.0, length=0.9, delay=0.6, start=0.085, stop=0.02)
-BASE = skin.rest(np.random.default_rng(0))
+BASE = skin.rest_readings(np.random.default_rng(0))
 
 
 def signal(t):
-    return skin.proximity(hand.path([CONTACT], 3, t, seen=False), HAND_RADIUS, BASE)
+    return skin.proximity_readings(hand.hand_path([CONTACT], 3, t, seen=False), HAND_RADIUS, BASE)
 
 
 def test_skin_has_117_cells_on_the_limb():
-    places = skin.places()
+    places = skin.cell_places()
     assert places.shape == (117, 3)
     np.testing.assert_allclose(np.hypot(places[:, 0], places[:, 1]), skin.RADIUS)
     assert len(np.unique(places.round(6), axis=0)) == 117
@@ -22,7 +22,7 @@ def test_skin_has_117_cells_on_the_limb():
 
 def test_touch_lasts_as_long_as_the_contact():
     t = np.arange(1.0, 4.0, 1e-3)
-    onset, offset = skin.crossings(t, signal(t))
+    onset, offset = skin.threshold_crossings(t, signal(t))
     assert onset == pytest.approx(2.0, abs=0.004)
     assert offset == pytest.approx(2.9, abs=0.004)
 
@@ -30,7 +30,7 @@ def test_touch_lasts_as_long_as_the_contact():
 def test_crossings_interpolate():
     t = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
     values = np.array([[0.1], [0.6], [0.8], [0.9], [0.5]])
-    onset, offset = skin.crossings(t, values)
+    onset, offset = skin.threshold_crossings(t, values)
     assert onset == pytest.approx(1.5)
     assert offset == pytest.approx(3.5)
 
@@ -47,6 +47,6 @@ def test_patch_of_neighbours_rises_smoothly():
 
 def test_untouched_skin_reads_its_rest_and_noise():
     away = np.full((500, 3), np.nan)
-    np.testing.assert_array_equal(skin.proximity(away, HAND_RADIUS, BASE), np.tile(BASE, (500, 1)))
-    data = skin.read(np.tile(BASE, (500, 1)), np.random.default_rng(1))
+    np.testing.assert_array_equal(skin.proximity_readings(away, HAND_RADIUS, BASE), np.tile(BASE, (500, 1)))
+    data = skin.add_skin_noise(np.tile(BASE, (500, 1)), np.random.default_rng(1))
     assert data.dtype == np.float32 and data.min() > 0 and data.max() < 0.2

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from bodylog.sim.camera import FAR, Camera
+from bodylog.sim.camera import FAR, PinholeCamera
 from bodylog.sim.tag import Plate
 
 from .reading import tags
 
-CAMERA = Camera(320, 240, 300.0, np.zeros(3), np.eye(3))
+CAMERA = PinholeCamera(320, 240, 300.0, np.zeros(3), np.eye(3))
 
 
 def turned(rng, most):

@@ -10,7 +10,7 @@ import pytest
 from bodylog.errors import UsageError
 from bodylog.sim.arms import ARMS
 from bodylog.sim.camera import FAR, ellipse_centre, look_at
-from bodylog.sim.world import EFFECTOR_RADIUS, matrix, open_world
+from bodylog.sim.world import EFFECTOR_RADIUS, matrix_from_quaternion, open_world
 
 pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
 
@@ -53,7 +53,7 @@ def test_urdf_agrees_with_the_denavit_hartenberg_formula(name):
             places, turns = world.pose(q)
             expected = hartenberg(TABLES[name], q)
             np.testing.assert_allclose(places[tool], expected[:3, 3], atol=1e-6)
-            np.testing.assert_allclose(matrix(turns[tool]), expected[:3, :3], atol=1e-6)
+            np.testing.assert_allclose(matrix_from_quaternion(turns[tool]), expected[:3, :3], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ARMS)

@@ -139,12 +139,12 @@ def stating_all(patch):
 def unbounded(patch):
     """A filter's memory without a bound."""
     for owner in (encoder_noise, evidence_search):
-        patch.setattr(owner, "floor", lambda t, encoder, order: np.full(len(encoder), 1e-30))
+        patch.setattr(owner, "least_process_density", lambda t, encoder, order: np.full(len(encoder), 1e-30))
 
 
 def never_dithered(t, y):
     """Readings as they are, with the least variance of their step."""
-    return y, 0.0, quantisation.dithered(t, y)[2]
+    return y, 0.0, quantisation.dither_readings(t, y)[2]
 
 
 def independent(self, step):
@@ -160,28 +160,28 @@ PARTS = {
         setting(filtering, "with_preferred_order", always_jerk)),
     "a smoother's process of least error": (
         ("sines", "white acceleration", "slow sines, encoders of 0.02 rad"),
-        setting(evidence_search, "least", lambda part, solved: (part.precision.process, 1.0))),
+        setting(evidence_search, "least_error_process", lambda part, solved: (part.precision.process, 1.0))),
     "process noise that follows sudden motion": (
         ("reaches, steps of 0.1 mrad",),
-        setting(encoder_noise, "_followed_by", lambda folded, ratio, variance, order: ratio)),
+        setting(encoder_noise, "_raise_until_followed", lambda folded, ratio, variance, order: ratio)),
     "restarts at jumps": (
-        ("sines, false readings",), setting(encoder_noise, "_far", lambda bend: np.zeros(len(bend), bool))),
+        ("sines, false readings",), setting(encoder_noise, "_find_far_bends", lambda bend: np.zeros(len(bend), bool))),
     "dithering of steps": (
         ("reaches, steps of 1.5 mrad", "slow sines, steps of 0.01 rad"),
-        setting(encoder_noise, "dithered", never_dithered)),
+        setting(encoder_noise, "dither_readings", never_dithered)),
     "variance that repeats share": (
-        ("reaches, steps of 1.5 mrad",), setting(filtering, "weighed", lambda evidence, *_: evidence)),
+        ("reaches, steps of 1.5 mrad",), setting(filtering, "weigh_repeated_readings", lambda evidence, *_: evidence)),
     "least process noise, for a memory of 1 s": (("still arms",), unbounded),
     "stated share of a resting filter's variance": (("still arms",), stating_all),
     "noise by the evidence of images": (
-        ("reaches, one camera", "reaches, two cameras"), setting(filtering, "tune", learned_alone)),
+        ("reaches, one camera", "reaches, two cameras"), setting(filtering, "tune_by_evidence", learned_alone)),
     "pixel variances by evidence": (
-        ("sines, a track that claims a third of its error",), setting(evidence_search, "_with", sure)),
+        ("sines, a track that claims a third of its error",), setting(evidence_search, "_noise_with_values", sure)),
     "a filter's own process noise": (
-        ("reaches, one camera", "reaches, two cameras"), setting(evidence_search, "_of_filter", alone)),
+        ("reaches, one camera", "reaches, two cameras"), setting(evidence_search, "_tune_filter_noise", alone)),
     "process noise by tracks in view": (
-        ("reaches, one camera", "reaches, two cameras"), setting(evidence_search, "_less", lambda problem: [])),
-    "common errors of near places": (("still arms",), setting(noise_model, "NEAR", 0.0)),
+        ("reaches, one camera", "reaches, two cameras"), setting(evidence_search, "_list_partial_views", lambda problem: [])),
+    "common errors of near places": (("still arms",), setting(noise_model, "PIXEL_CORRELATION_PX", 0.0)),
     "common errors of near postures": (
         ("babble, one camera", "babble, two cameras"),
         setting(correlated_noise.ErrorCorrelation, "postures", independent)),
@@ -189,6 +189,6 @@ PARTS = {
         ("reaches, two cameras", "babble, two cameras"),
         setting(correlated_noise.ErrorCorrelation, "times", lambda self, count, like: 2.0 * count - 1.0)),
     "common errors of two tracks": (
-        ("babble, two cameras",), setting(tangents, "repeated", lambda frames, common, distinct: (1.0,) * len(frames))),
+        ("babble, two cameras",), setting(tangents, "shared_model_factors", lambda frames, common, distinct: (1.0,) * len(frames))),
 }  # fmt: skip
 """What is taken out: the logs where it matters, and the patch."""

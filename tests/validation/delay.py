@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bodylog.estimation.faults.threshold import NATS
+from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.estimation.timing.correction import measured_delays
 from tests.estimation.conftest import draw
 from tests.estimation.test_delay import delayed
@@ -33,7 +33,7 @@ def row(name, pairs):
         runs += [(given, one) for one in measured_delays(delayed(log.features, given), body).values()]
     given, std, seconds, nats = np.transpose([(g, one.std_error, one.seconds, one.nats) for g, one in runs])
     off, large, none = (seconds - given) / std, np.abs(given) >= LARGE, given == 0.0
-    share = (f"{(nats[rows] > NATS).sum()} of {rows.sum()}" for rows in (large, none))
+    share = (f"{(nats[rows] > EVIDENCE_THRESHOLD_NATS).sum()} of {rows.sum()}" for rows in (large, none))
     cells = (f"{1e3 * np.median(std):.2g}", f"{figures.rms(off):.2f}", f"{np.abs(off).max():.1f}")
     return (f"{name} ({len(pairs)})", *cells, *share)
 

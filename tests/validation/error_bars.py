@@ -58,8 +58,8 @@ def still(count=40):
     """Arms that stand still for 30 s in drawn postures."""
 
     def stands(request):
-        away = 0.7 * plan.swing(request, None) * request.rng.uniform(-1, 1, len(request.arm.home))
-        return plan.Plan(motion.still(np.array(request.arm.home) + away), 0.01, plan.plain)
+        away = 0.7 * plan.swing_of_joints(request, None) * request.rng.uniform(-1, 1, len(request.arm.home))
+        return plan.ScenarioPlan(motion.stand_still(np.array(request.arm.home) + away), 0.01, plan.read_angles_with_noise)
 
     return ((logs.drawn("touch", seed, plan=stands), logs.learned(seed % 20)) for seed in range(count))
 

@@ -11,7 +11,7 @@ import numpy as np
 import bodylog.logs as logs
 from bodylog import config, pipeline
 from bodylog.body import storage
-from bodylog.settings import Kinematics, Settings
+from bodylog.settings import KinematicsSettings, Settings
 
 SEEDS = 3
 _ELSEWHERE = 100
@@ -79,14 +79,14 @@ def _recorded(scenario: str, seconds: float, case: Case, seed: int, work: Path) 
 def _settings(case: Case, work: Path) -> Settings:
     """The defaults without the log's URDF; for a tag, which one it is."""
     if case.feature != "tag":
-        return Settings(kinematics=Kinematics(use=False))
+        return Settings(kinematics=KinematicsSettings(use=False))
     (work / "robot.toml").write_text(_TAGGED)
-    return config.load(work / "robot.toml", {"kinematics": {"use": False}})
+    return config.load_settings(work / "robot.toml", {"kinematics": {"use": False}})
 
 
 def body_error(log: Path, body: Path) -> float:
     """Root mean square distance in px between where the body expects the feature and where it truly is."""
-    learned = storage.load(body)
+    learned = storage.load_body(body)
     with logs.open(log) as read:
         joints, pixels = read["/truth/joint_states"], read["/truth/effector_pixel"]
         names, t, q = list(joints.name[0]), joints.header.stamp, joints.position

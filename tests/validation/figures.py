@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bodylog.estimation import estimate
-from bodylog.evaluation.scores import at_times
-from bodylog.settings import Estimation
+from bodylog.estimation import estimate_from_features
+from bodylog.evaluation.scores import truth_at_times
+from bodylog.settings import EstimationSettings
 from docs import generate_claims
 
 table = generate_claims.table
@@ -45,10 +45,10 @@ class Found:
 
 def found(log, body, method="laplace", delay="auto", **settings):
     """The estimate of a log, judged by its truth."""
-    made = estimate(log.features, body, Estimation(method=method, **settings), delay)
+    made = estimate_from_features(log.features, body, EstimationSettings(method=method, **settings), delay)
     names = [name for name in log.truth.names if name in made.joints.names]  # pan, lift, elbow
     columns = [made.joints.names.index(name) for name in names]
-    error = made.joints.values[:, columns] - at_times(log.truth, names, made.joints.t)
+    error = made.joints.values[:, columns] - truth_at_times(log.truth, names, made.joints.t)
     std = np.sqrt(np.einsum("nii->ni", made.cov))[:, columns]
     return Found(made.joints.t, error, std, made.faults, made.settings)
 

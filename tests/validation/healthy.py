@@ -1,7 +1,7 @@
 """Faults named in healthy logs: arms that rest, move slowly, swing and reach, read in 13 ways, four seeds each."""
 
-from bodylog.estimation import estimate
-from bodylog.settings import Estimation
+from bodylog.estimation import estimate_from_features
+from bodylog.settings import EstimationSettings
 from tests.estimation.resting import MOTIONS, Drawn, drawn
 from tests.estimation.test_soak_healthy import READ
 from tests.validation import figures
@@ -20,4 +20,4 @@ def table():
 def accused(moves, senses):
     """Logs of this motion in which a fault is named."""
     worlds = (drawn(seed, Drawn(moves, **how)) for how in READ for seed in SEEDS)
-    return sum(bool(estimate(world.features, world.body, Estimation(senses=senses)).faults) for world in worlds)
+    return sum(bool(estimate_from_features(world.features, world.body, EstimationSettings(senses=senses)).faults) for world in worlds)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from bodylog import body
-from bodylog.body.gp.fit import samples, train
+from bodylog.body.gp.fit import samples_without_noise, train_gp
 from bodylog.body.gp.model import MISFIT
-from bodylog.settings import Body, Settings
+from bodylog.settings import BodySettings, Settings
 from bodylog.sim.scenarios import SCENARIOS
 from tests.validation import figures, logs
 
@@ -30,7 +30,7 @@ def of_log(noise):
 
     def ratio(seed):
         log, elsewhere = explored(seed, noise), angles(seed)
-        model = body.learn([log.features], Settings(body=Body(joints=logs.JOINTS)), {}).model.senses["effector"]
+        model = body.learn_body([log.features], Settings(body=BodySettings(joints=logs.JOINTS)), {}).model.senses["effector"]
         return [over(model, x, true(x)) for x in (elsewhere, at_frames(log))]
 
     return ratio
@@ -40,7 +40,7 @@ def of_angles(seed):
     """What the same places teach at true angles."""
     log = explored(seed, 0.003)
     x, places = at_frames(log), log.features.tracks["effector"].values
-    model = train(samples(x, places), ("u", "v"), "px")
+    model = train_gp(samples_without_noise(x, places), ("u", "v"), "px")
     return [over(model, one, true(one)) for one in (angles(seed), x)]
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from bodylog import body, pipeline
 from bodylog.experiments.lab import JOINTS, ObservedLog
-from bodylog.settings import Body, Settings
+from bodylog.settings import BodySettings, Settings
 from bodylog.sim.arms import ARMS
 from bodylog.sim.plan import Request
 from bodylog.sim.scenarios import SCENARIOS
@@ -68,7 +68,7 @@ def perceived(places, rng):
 def learned(seed, cameras=1, seconds=40.0):
     """The body learned from the exploration of a seed."""
     explored = drawn("babble", seed, seconds, cameras).features
-    return body.learn([explored], Settings(body=Body(joints=JOINTS)), {}).model
+    return body.learn_body([explored], Settings(body=BodySettings(joints=JOINTS)), {}).model
 
 
 @cache
@@ -81,7 +81,7 @@ def recorded(name):
 @cache
 def recorded_body():
     """The body learned from the recorded exploration."""
-    return body.learn([recorded("explore.mcap").features], Settings(), {}).model
+    return body.learn_body([recorded("explore.mcap").features], Settings(), {}).model
 
 
 def ns(t):

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from bodylog.body.data.pairs import joints
-from bodylog.body.kinematic.residuals import residual, together
-from bodylog.body.kinematic.sightings import gathered
+from bodylog.body.data.pairs import smooth_all_joints
+from bodylog.body.kinematic.residuals import fit_residual_kernel, solve_together
+from bodylog.body.kinematic.sightings import gather_sightings
 from bodylog.kinematics import urdf
-from bodylog.kinematics.identifiability import Offset, offsets
-from bodylog.kinematics.links import CameraHint, Track, find
-from bodylog.kinematics.rotations import exponential, inverse, transform
+from bodylog.kinematics.identifiability import Offset, joint_zeros
+from bodylog.kinematics.links import CameraHint, MarkerTrack, find_links
+from bodylog.kinematics.rotations import rotation_from_vector, invert_transform, make_transform
 from bodylog.types import Features, Series
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM, JOINTS
@@ -51,18 +51,18 @@ def draw(seed: int, points: np.ndarray, known: bool, cameras: int) -> tuple[int,
     poses = [robots.camera_pose(), exponential_pose(np.array([0.0, -0.7, 0.0])) @ robots.camera_pose()][:cameras]
     found, hints = _explored(random, points, poses, joint, size), {}
     for name, pose in zip(("", "side"), poses, strict=False):
-        off = transform(exponential(random.normal(0.0, 2.0 * DEGREE, 3)), random.normal(0.0, 0.02, 3))
+        off = make_transform(rotation_from_vector(random.normal(0.0, 2.0 * DEGREE, 3)), random.normal(0.0, 0.02, 3))
         lens = np.array([np.log(600.0) + random.normal(0.0, 0.01), 0.0, 320.0, 240.0, 0.0, 0.0])
         lens[2:4] += random.normal(0.0, 5.0, 2)
         hint = CameraHint(size=(640, 480))
-        hints[name] = replace(hint, link="base", pose=inverse(off @ pose), lens=lens) if known else hint
+        hints[name] = replace(hint, link="base", pose=invert_transform(off @ pose), lens=lens) if known else hint
     return joint, size, _learned(found, hints)
 
 
 def exponential_pose(turn: np.ndarray) -> np.ndarray:
     """A camera that looks from the side at what another sees: turned about a point 1.8 m before it."""
-    there = transform(np.eye(3), np.array([0.0, 0.0, 1.8]))
-    return there @ transform(exponential(turn), np.zeros(3)) @ inverse(there)
+    there = make_transform(np.eye(3), np.array([0.0, 0.0, 1.8]))
+    return there @ make_transform(rotation_from_vector(turn), np.zeros(3)) @ invert_transform(there)
 
 
 def _explored(
@@ -92,18 +92,18 @@ def _explored(
 
 def _learned(found: Features, hints: dict[str, CameraHint]) -> tuple[Offset, ...]:
     """The joints' zeros as `fit --urdf` learns them."""
-    read = joints([found], None)
-    shown = gathered([found], list(found.tracks), read, 1, 2000)
+    read = smooth_all_joints([found], None)
+    shown = gather_sightings([found], list(found.tracks), read, 1, 2000)
     tracks = {}
     for name, one in shown.items():
         camera, _, marker = name.rpartition("/")
-        tracks[name] = Track(camera, marker, one.sighted, one.points)
-    links = find(urdf.parse(ARM, "arm.urdf"), JOINTS, {}, tracks, hints, 5.0 * DEGREE)
+        tracks[name] = MarkerTrack(camera, marker, one.sighted, one.points)
+    links = find_links(urdf.parse_urdf(ARM, "arm.urdf"), JOINTS, {}, tracks, hints, 5.0 * DEGREE)
     made = links.calibrated
     each = enumerate(shown.items())
-    parts = {name: residual(made.rig, k, made.theta, one, made.weights[k], read, 0) for k, (name, one) in each}
-    both, std = together(made.rig, made.theta, parts), made.rig.prior[1]
-    return offsets(made.rig, both.theta, std * (both.root @ both.root.T) * std[:, None])
+    parts = {name: fit_residual_kernel(made.rig, k, made.theta, one, made.weights[k], read, 0) for k, (name, one) in each}
+    both, std = solve_together(made.rig, made.theta, parts), made.rig.prior[1]
+    return joint_zeros(made.rig, both.theta, std * (both.root @ both.root.T) * std[:, None])
 
 
 def _row(name: str, found: list[tuple[int, float, tuple[Offset, ...]]]) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation.inference.leave_one_out import Judged, left_out
+from bodylog.estimation.inference.leave_one_out import SmoothedWithResiduals, predict_left_out
 from bodylog.estimation.methods import smoother
 from tests.estimation.conftest import draw
 from tests.validation import figures, logs
@@ -84,7 +84,7 @@ def row(name, those, kind):
     for method, gated in (("laplace", False), ("smoother", False), ("smoother", True)):
         with pytest.MonkeyPatch.context() as patch:
             if gated:
-                patch.setattr(smoother, "judged", lambda problem, smooth: Judged.of(smooth, left_out(problem, smooth)))
+                patch.setattr(smoother, "remove_outliers", lambda problem, smooth: SmoothedWithResiduals.of(smooth, predict_left_out(problem, smooth)))
             runs = [figures.found(log, body, method=method).within(2.0) for log, body in spoilt]
         cells += (figures.mrad(runs), figures.mean_nees(runs))
     return cells

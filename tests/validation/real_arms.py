@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bodylog import body, config, pipeline
-from bodylog.evaluation.scores import at_times
+from bodylog.evaluation.scores import truth_at_times
 from bodylog.experiments.lab import ObservedLog
 from bodylog.types import LASTING_ERROR
 from tests.validation import figures
@@ -58,14 +58,14 @@ def table():
 @cache
 def settings():
     """The settings beside the logs."""
-    return config.load(FOLDER / "robot.toml")
+    return config.load_settings(FOLDER / "robot.toml")
 
 
 @cache
 def learned(name):
     """The body learned from an exploration."""
     _, features = pipeline.observe(FOLDER / f"{name}_explore.mcap", settings())
-    return body.learn([features], settings(), {}).model
+    return body.learn_body([features], settings(), {}).model
 
 
 @cache
@@ -98,4 +98,4 @@ def raw_error(one, model):
     joints = one.features.joints
     names = [joint for joint in one.truth.names if joint in model.joints]
     columns = [joints.names.index(joint) for joint in names]
-    return figures.rms(joints.values[:, columns] - at_times(one.truth, names, joints.t))
+    return figures.rms(joints.values[:, columns] - truth_at_times(one.truth, names, joints.t))

@@ -43,4 +43,4 @@ def of_set(seed, wrong):
     theta = robots.truth(rig, {"elbow": 0.02}, seed)
     theta[rig.of_scales] = WRONG * (np.arange(len(JOINTS)) == wrong)
     found = solve(rig, robots.seen(rig, theta, robots.angles(POSES, seed), PIXEL, seed))
-    return identifiability.scales(found.rig, found.theta, found.covariance)
+    return identifiability.joint_scales(found.rig, found.theta, found.covariance)

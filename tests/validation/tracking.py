@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from bodylog import logs, pipeline, sim
-from bodylog.io.temporary import scratch
-from bodylog.settings import Colours, Settings
+from bodylog.io.temporary import create_scratch_folder
+from bodylog.settings import ColourSettings, Settings
 from tests.validation import figures
 
 SECONDS, SMALL, LARGE = 16.0, (320, 240), (640, 480)
@@ -28,12 +28,12 @@ def table():
 def cells(scenario, size, count):
     """The figures of one kind, by default and fast."""
     apart = {False: [], True: []}
-    with scratch() as folder:
+    with create_scratch_folder() as folder:
         path = Path(folder) / "log.mcap"
         for seed in range(count):
-            sim.record(scenario, path, seed=seed, size=size, duration=SECONDS)
+            sim.record_scenario(scenario, path, seed=seed, size=size, duration=SECONDS)
             for fast, some in apart.items():
-                some.append(errors(path, Settings(colours=Colours(fast=fast))))
+                some.append(errors(path, Settings(colours=ColourSettings(fast=fast))))
     for some in apart.values():
         error, std = (np.concatenate(part) for part in zip(*some, strict=True))
         distance = np.hypot(*error.T)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...linear_algebra import selected_inverse
-from ...motion import banded, covariance, log_determinant, precision, solve, transition
+from ...motion import band_storage, motion_covariance, motion_log_determinant, motion_precision, solve_banded_system, motion_transition
 from ...types import Array
 
 _BIN_S = 0.01
@@ -21,7 +21,7 @@ _NEGLIGIBLE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class ReadingChain:
     """A signal on time nodes: t (K,) s · gap (K-1,) in `unit` s · count (K,) readings of a node, total (K,) rad.
 
     Readings are relative to `centre`, their mean. squares is the sum of their squares after each node's slope is
@@ -39,7 +39,7 @@ class Chain:
 
 
 @dataclass(frozen=True)
-class Motion:
+class WhiteMotion:
     """Motion whose `order`-th derivative is white: process density (rad²/s^(2·order−1)) and encoder variance (rad²)."""
 
     order: int
@@ -53,19 +53,19 @@ class Motion:
 class _System:
     """A chain's motion of unit density: precision in bands (2p, K p), right-hand side (K p,1), its ln determinant."""
 
-    signal: Chain
+    signal: ReadingChain
     band: Array
     right: Array
     logdet: float
 
 
-def chain(t: Array, z: Array) -> Chain:
+def build_reading_chain(t: Array, z: Array) -> ReadingChain:
     """Group readings z (N,) rad at t (N,) s into nodes of 10 ms, or of a quarter step."""
     sound = np.isfinite(t) & np.isfinite(z)
     order = np.argsort(t[sound], kind="stable")
     t, z = t[sound][order], z[sound][order]
     centre = float(z.mean())
-    unit, node = _nodes(t)
+    unit, node = _assign_nodes(t)
     # a repeated message is not a second reading
     fresh = np.append(True, (np.diff(node) > 0) | (np.diff(z) != 0))
     t, z, node = t[fresh], z[fresh] - centre, node[fresh]
@@ -76,10 +76,10 @@ def chain(t: Array, z: Array) -> Chain:
     slope = np.divide(lean, moment, out=np.zeros_like(lean), where=moment > 0)
     scatter = float(np.square(rest - slope[node] * early)[count[node] > 2].sum())
     squares, degrees = float((total**2 / count).sum()) + scatter, len(count) + np.maximum(count - 2, 0).sum()
-    return Chain(times, np.diff(times) / unit, unit, count, total, squares, float(degrees), centre)
+    return ReadingChain(times, np.diff(times) / unit, unit, count, total, squares, float(degrees), centre)
 
 
-def _nodes(t: Array) -> tuple[float, Array]:
+def _assign_nodes(t: Array) -> tuple[float, Array]:
     """The usual step between nodes, s, and the node (N,) of each reading at t (N,) s ascending."""
     steps = np.diff(t)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
@@ -91,32 +91,32 @@ def _nodes(t: Array) -> tuple[float, Array]:
     return _BIN_S, (np.cumsum(gap >= _NEAR * _BIN_S) - 1)[node]
 
 
-def fit(signals: Sequence[Chain], order: int) -> Motion:
+def fit_white_motion(signals: Sequence[ReadingChain], order: int) -> WhiteMotion:
     """Process and encoder variance of greatest evidence over all chains; encoder profiled out, ratio searched."""
     from scipy.optimize import minimize_scalar
 
-    unit, systems = max(signal.unit for signal in signals), [_system(signal, order) for signal in signals]
+    unit, systems = max(signal.unit for signal in signals), [_build_system(signal, order) for signal in signals]
     grid = np.arange(_STIFFEST[order], _LOOSEST, _STRIDE)
-    best = float(grid[int(np.argmax([_profile(systems, order, unit, r)[0] for r in grid]))])
+    best = float(grid[int(np.argmax([_profile_evidence(systems, order, unit, r)[0] for r in grid]))])
     low, high = max(best - _STRIDE, _STIFFEST[order]), best + _STRIDE
     found = minimize_scalar(
-        lambda r: -_profile(systems, order, unit, r)[0], bounds=(low, high), method="bounded", options={"xatol": 1e-2}
+        lambda r: -_profile_evidence(systems, order, unit, r)[0], bounds=(low, high), method="bounded", options={"xatol": 1e-2}
     )
     ratio = float(found.x)
-    value, variance = _profile(systems, order, unit, ratio)
+    value, variance = _profile_evidence(systems, order, unit, ratio)
     density = float(np.exp(ratio) * variance / unit ** (2 * order - 1))
-    return Motion(order, density, variance, value, _std_error(systems, order, unit, ratio, density, variance))
+    return WhiteMotion(order, density, variance, value, _std_error(systems, order, unit, ratio, density, variance))
 
 
-def posterior(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array]:
+def smooth_angles(signal: ReadingChain, motion: WhiteMotion, at: Array) -> tuple[Array, Array]:
     """Mean (K,) rad and variance (K,) rad² of the angle at the times `at` (K,) s; NaN outside the readings."""
     order = motion.order
-    ratio = _ratio(signal, motion)
-    diagonal, upper, right = _blocks(signal, order, ratio)
-    state = solve(banded(diagonal, upper), right)[1].reshape(-1, order)
+    ratio = _log_noise_ratio(signal, motion)
+    diagonal, upper, right = _posterior_precision(signal, order, ratio)
+    state = solve_banded_system(band_storage(diagonal, upper), right)[1].reshape(-1, order)
     own, between = selected_inverse(diagonal, upper)
-    left, early, late = _place(signal, at)
-    from_left, from_right, rest = _bridge(early, late, order, ratio)
+    left, early, late = _locate_in_chain(signal, at)
+    from_left, from_right, rest = _interpolate_between_nodes(early, late, order, ratio)
     mean = (from_left * state[left] + from_right * state[left + 1]).sum(axis=1)
     cross = np.einsum("ki,kij,kj->k", from_left, between[left], from_right)
     spread = np.einsum("ki,kij,kj->k", from_left, own[left], from_left) + 2.0 * cross + rest
@@ -125,13 +125,13 @@ def posterior(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array]:
     return np.where(outside, np.nan, signal.centre + mean), np.where(outside, np.nan, motion.encoder * spread)
 
 
-def coupling(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array, Array]:
+def covariance_between_times(signal: ReadingChain, motion: WhiteMotion, at: Array) -> tuple[Array, Array, Array]:
     """Posterior covariance of the angle between times `at` (K,) s ascending: row i > column j, value (L,) rad²."""
-    order, ratio = motion.order, _ratio(signal, motion)
+    order, ratio = motion.order, _log_noise_ratio(signal, motion)
     reach = int(np.ceil(_REACH * np.exp(-ratio / (2 * order)))) + 1
-    diagonal, upper, _ = _blocks(signal, order, ratio)
-    left, early, late = _place(signal, at)
-    from_left, from_right, _ = _bridge(early, late, order, ratio)
+    diagonal, upper, _ = _posterior_precision(signal, order, ratio)
+    left, early, late = _locate_in_chain(signal, at)
+    from_left, from_right, _ = _interpolate_between_nodes(early, late, order, ratio)
     parts = []
     for start in range(0, len(at), _CHUNK):
         stop = min(start + _CHUNK, len(at))
@@ -143,34 +143,34 @@ def coupling(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array, Ar
         right[left[first:last] - low + 1, :, columns] = from_right[first:last]
         flat = right.reshape(-1, last - first)
         own = slice(start - first, stop - first)
-        _, solved = solve(banded(diagonal[low:high], upper[low : high - 1]), flat[:, own])
-        parts.append(_significant(flat.T @ solved, first, start))
+        _, solved = solve_banded_system(band_storage(diagonal[low:high], upper[low : high - 1]), flat[:, own])
+        parts.append(_significant_entries(flat.T @ solved, first, start))
     i, j, value = (np.concatenate(part) for part in zip(*parts, strict=True))
     return i, j, motion.encoder * value
 
 
-def _significant(block: Array, first: int, start: int) -> tuple[Array, Array, Array]:
+def _significant_entries(block: Array, first: int, start: int) -> tuple[Array, Array, Array]:
     """Non-negligible entries below the diagonal of a slab whose rows start at `first` and columns at `start`."""
     i, j = np.nonzero(np.abs(block) > _NEGLIGIBLE * block.max())
     below = i + first > j + start
     return i[below] + first, j[below] + start, block[i[below], j[below]]
 
 
-def _place(signal: Chain, at: Array) -> tuple[Array, Array, Array]:
+def _locate_in_chain(signal: ReadingChain, at: Array) -> tuple[Array, Array, Array]:
     """Node to the left of each time (K,), and the times since it and to the next, in the chain's unit."""
     left = np.clip(np.searchsorted(signal.t, at, side="right") - 1, 0, len(signal.gap) - 1)
     early = np.clip((at - signal.t[left]) / signal.unit, 0.0, signal.gap[left])
     return left, early, signal.gap[left] - early
 
 
-def _ratio(signal: Chain, motion: Motion) -> float:
+def _log_noise_ratio(signal: ReadingChain, motion: WhiteMotion) -> float:
     return float(np.log(motion.process / motion.encoder) + (2 * motion.order - 1) * np.log(signal.unit))
 
 
-def _bridge(early: Array, late: Array, order: int, ratio: float) -> tuple[Array, Array, Array]:
+def _interpolate_between_nodes(early: Array, late: Array, order: int, ratio: float) -> tuple[Array, Array, Array]:
     """The angle between two nodes: weights (K,p) of the left and right state, and the remaining variance (K,)."""
-    here, there = covariance(order, early), covariance(order, late)
-    out, on = transition(order, early), transition(order, late)
+    here, there = motion_covariance(order, early), motion_covariance(order, late)
+    out, on = motion_transition(order, early), motion_transition(order, late)
     whole = np.matmul(np.matmul(on, here), on.transpose(0, 2, 1)) + there
     gain = np.linalg.solve(whole, np.matmul(on, here)).transpose(0, 2, 1)
     from_left = out - np.matmul(gain, np.matmul(on, out))
@@ -178,17 +178,17 @@ def _bridge(early: Array, late: Array, order: int, ratio: float) -> tuple[Array,
     return from_left[:, 0], gain[:, 0], np.maximum(rest[:, 0, 0], 0.0) * np.exp(ratio)
 
 
-def _profile(systems: Sequence[_System], order: int, unit: float, ratio: float) -> tuple[float, float]:
+def _profile_evidence(systems: Sequence[_System], order: int, unit: float, ratio: float) -> tuple[float, float]:
     """Log evidence with the encoder variance profiled out, and that variance; −inf where it cannot be computed."""
     try:
-        count, misfit, volume = _parts(systems, order, unit, ratio)
+        count, misfit, volume = _evidence_terms(systems, order, unit, ratio)
     except np.linalg.LinAlgError:
         return float("-inf"), 0.0
     variance = max(misfit / count, 1e-18)
     return float(-0.5 * (count * np.log(2 * np.pi * variance) + misfit / variance + volume)), variance
 
 
-def _parts(systems: Sequence[_System], order: int, unit: float, ratio: float) -> Array:
+def _evidence_terms(systems: Sequence[_System], order: int, unit: float, ratio: float) -> Array:
     """Degrees of freedom, squared misfit for unit encoder variance, ln|posterior precision| − ln|prior precision|.
 
     ratio is ln(process/encoder) with time in `unit` s.
@@ -200,23 +200,23 @@ def _parts(systems: Sequence[_System], order: int, unit: float, ratio: float) ->
         band = system.band * np.exp(-own)
         band[-1, :order] += _DIFFUSE
         band[-1, ::order] += signal.count
-        logdet, mean = solve(band, system.right)
+        logdet, mean = solve_banded_system(band, system.right)
         misfit = max(signal.squares - float(np.vdot(system.right, mean)), 0.0)
         before = order * float(np.log(_DIFFUSE)) - len(signal.gap) * order * own + system.logdet
         total += signal.degrees, misfit, logdet - before
     return total
 
 
-def _system(signal: Chain, order: int) -> _System:
+def _build_system(signal: ReadingChain, order: int) -> _System:
     right = np.zeros((len(signal.t) * order, 1), order="F")
     right[::order, 0] = signal.total
-    band = banded(*precision(order, signal.gap))
-    return _System(signal, band, right, log_determinant(order, signal.gap))
+    band = band_storage(*motion_precision(order, signal.gap))
+    return _System(signal, band, right, motion_log_determinant(order, signal.gap))
 
 
-def _blocks(signal: Chain, order: int, ratio: float) -> tuple[Array, Array, Array]:
+def _posterior_precision(signal: ReadingChain, order: int, ratio: float) -> tuple[Array, Array, Array]:
     """Posterior precision in units of the encoder's: diagonal (K,p,p), upper (K-1,p,p); right-hand side (K p,1)."""
-    diagonal, upper = (part * np.exp(-ratio) for part in precision(order, signal.gap))
+    diagonal, upper = (part * np.exp(-ratio) for part in motion_precision(order, signal.gap))
     diagonal[0] += _DIFFUSE * np.eye(order)
     diagonal[:, 0, 0] += signal.count
     right = np.zeros((len(signal.t) * order, 1))
@@ -230,7 +230,7 @@ def _std_error(
     """Standard errors of (process, encoder) from the curvature of the evidence in their logarithms."""
 
     def value(process: float, encoder: float) -> float:
-        count, misfit, volume = _parts(systems, order, unit, ratio + process - encoder)
+        count, misfit, volume = _evidence_terms(systems, order, unit, ratio + process - encoder)
         log_variance = np.log(variance) + encoder
         return float(-0.5 * (count * log_variance + misfit / np.exp(log_variance) + volume))
 

@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from ...types import Array
-from .angle_smoother import Chain, Motion, coupling, posterior
+from .angle_smoother import ReadingChain, WhiteMotion, covariance_between_times, smooth_angles
 
 STILL = 1e-3
 """rad: assumed std of encoders in still poses, which poses alone do not determine; a servo's resolution."""
@@ -31,8 +31,8 @@ class Angles(Protocol):
 class Moving:
     """A moving joint with its chain of readings."""
 
-    chain: Chain
-    motion: Motion
+    chain: ReadingChain
+    motion: WhiteMotion
 
     @property
     def t(self) -> Array:
@@ -41,11 +41,11 @@ class Moving:
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """The smoothed angle."""
-        return posterior(self.chain, self.motion, t)
+        return smooth_angles(self.chain, self.motion, t)
 
     def coupling(self, t: Array) -> tuple[Array, Array, Array]:
         """Smoothing correlates the errors of neighbours."""
-        return coupling(self.chain, self.motion, t)
+        return covariance_between_times(self.chain, self.motion, t)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +67,13 @@ class Posed:
         return nothing, nothing, np.zeros(0)
 
 
-def posed(t: Array, z: Array) -> Posed:
+def poses_with_readings(t: Array, z: Array) -> Posed:
     """The poses with a finite reading z (N,) rad at t (N,) s, by time."""
     rows = np.flatnonzero(np.isfinite(z) & np.isfinite(t))
     rows = rows[np.argsort(t[rows], kind="stable")]
     return Posed(t[rows], z[rows])
 
 
-def unmoved() -> Motion:
+def motion_of_resting_joint() -> WhiteMotion:
     """A placeholder motion for joints with still poses only: unknown, with encoder noise STILL."""
-    return Motion(2, 1.0, STILL**2, 0.0, (float("inf"), float("inf")))
+    return WhiteMotion(2, 1.0, STILL**2, 0.0, (float("inf"), float("inf")))

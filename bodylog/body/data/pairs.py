@@ -9,8 +9,8 @@ import numpy as np
 from ...errors import ConfigError, EvidenceError, LogError
 from ...types import Array, Features, Finding, Series
 from ..gp.fit import Coupling
-from .angle_smoother import Chain, Motion, chain, fit
-from .angles import Angles, Moving, posed, unmoved
+from .angle_smoother import ReadingChain, WhiteMotion, build_reading_chain, fit_white_motion
+from .angles import Angles, Moving, poses_with_readings, motion_of_resting_joint
 
 _LEAST_RANGE = 0.02
 _BLOCKS = 10
@@ -49,12 +49,12 @@ class Pairs:
 
 
 @dataclass(frozen=True, eq=False)
-class Joint:
+class SmoothedJoint:
     """One joint over all logs: its angles in each, and one white acceleration for all."""
 
     name: str
     angles: tuple[Angles, ...]
-    acceleration: Motion
+    acceleration: WhiteMotion
 
     @cached_property
     def range(self) -> float:
@@ -64,13 +64,13 @@ class Joint:
         return float(high - low)
 
 
-def joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list[Joint]:
+def smooth_all_joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list[SmoothedJoint]:
     """The joints with readings in all logs, or those wanted.
 
     LogError without readings, ConfigError for an unknown name, EvidenceError where logs share no joint or a wanted
     joint has too few readings.
     """
-    readings = [_readings(f, i, len(features)) for i, f in enumerate(features)]
+    readings = [_require_readings(f, i, len(features)) for i, f in enumerate(features)]
     common = [n for n in readings[0].names if all(n in r.names for r in readings)]
     if not common:
         have = "; ".join(f"log {i + 1} has {', '.join(r.names)}" for i, r in enumerate(readings))
@@ -82,7 +82,7 @@ def joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list
     if missing := [sparse[n] for n in wanted or () if n in sparse]:
         raise EvidenceError(f"{missing[0]}, but [body] joints names it; type: bodylog info LOG")
     still = [f.poses for f in features]
-    return [_joint(n, readings, still) for n in wanted or common if n not in sparse]
+    return [_smooth_joint_over_logs(n, readings, still) for n in wanted or common if n not in sparse]
 
 
 def sparse_joints(features: Sequence[Features]) -> dict[str, str]:
@@ -96,11 +96,11 @@ def sparse_joints(features: Sequence[Features]) -> dict[str, str]:
     return found
 
 
-def plausible(features: Sequence[Features]) -> tuple[list[Features], list[Finding]]:
+def drop_impossible_values(features: Sequence[Features]) -> tuple[list[Features], list[Finding]]:
     """Remove impossible readings and positions, and return a remark for each joint and track that had some."""
     kept, findings = [], []
     for index, found in enumerate(features):
-        found, far = _near(found, index)
+        found, far = _drop_far_positions(found, index)
         findings += far
         for role in ("joints", "reference"):
             series = getattr(found, role)
@@ -116,7 +116,7 @@ def plausible(features: Sequence[Features]) -> tuple[list[Features], list[Findin
     return kept, findings
 
 
-def _near(found: Features, index: int) -> tuple[Features, list[Finding]]:
+def _drop_far_positions(found: Features, index: int) -> tuple[Features, list[Finding]]:
     """Remove positions beyond any image, and return a remark for each track that had some."""
     tracks, findings = dict(found.tracks), []
     for name, track in found.tracks.items():
@@ -128,12 +128,12 @@ def _near(found: Features, index: int) -> tuple[Features, list[Finding]]:
     return replace(found, tracks=tracks), findings
 
 
-def moves(joint: Joint) -> bool:
+def has_moved(joint: SmoothedJoint) -> bool:
     """Whether the joint moved: smoothed noise alone spans far less."""
     return joint.range > _LEAST_RANGE
 
 
-def moving_joints(features: Sequence[Features]) -> list[str]:
+def find_moving_joints(features: Sequence[Features]) -> list[str]:
     """Joints whose raw readings span more than those of a joint at rest."""
     found: dict[str, None] = {}
     for series in (f.joints for f in features if f.joints is not None):
@@ -144,11 +144,11 @@ def moving_joints(features: Sequence[Features]) -> list[str]:
     return list(found)
 
 
-def pairs(features: Sequence[Features], track: str, chosen: Sequence[Joint], every: int) -> Pairs:
+def pair_sightings(features: Sequence[Features], track: str, chosen: Sequence[SmoothedJoint], every: int) -> Pairs:
     """Sightings of one track with the angles of the chosen joints at the same times."""
-    parts = [_pairs(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks]
+    parts = [_pair_track(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks]
     still = [f.poses for f in features if track in f.tracks]
-    return joined([_shuffled(part) if posed else part for part, posed in zip(parts, still, strict=True)])
+    return join_pairs([_shuffle_blocks(part) if posed else part for part, posed in zip(parts, still, strict=True)])
 
 
 def pairs_of_samples(x: Array, y: Array, spread: Array) -> Pairs:
@@ -157,13 +157,13 @@ def pairs_of_samples(x: Array, y: Array, spread: Array) -> Pairs:
     return Pairs(x, np.zeros(x.shape), y, spread, block, label, np.arange(len(x), dtype=float), len(x))
 
 
-def joined(parts: Sequence[Pairs]) -> Pairs:
+def join_pairs(parts: Sequence[Pairs]) -> Pairs:
     """Concatenate pairs."""
     columns = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _COLUMNS}
     return Pairs(**columns, frames=sum(p.frames for p in parts))
 
 
-def coupled(part: Pairs, chosen: Sequence[Joint]) -> Coupling:
+def correlate_angle_errors(part: Pairs, chosen: Sequence[SmoothedJoint]) -> Coupling:
     """Correlation of the smoothed joints' errors between sightings."""
     nothing = np.zeros(0, np.int64)
     found = [(nothing, nothing, nothing, np.zeros(0))]
@@ -175,33 +175,33 @@ def coupled(part: Pairs, chosen: Sequence[Joint]) -> Coupling:
     return Coupling(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def _shuffled(part: Pairs) -> Pairs:
+def _shuffle_blocks(part: Pairs) -> Pairs:
     """Poses in random blocks: they often lie on a grid, of which no contiguous part predicts the rest."""
     return replace(part, block=np.random.default_rng(_SEED).permutation(part.block))
 
 
-def _readings(features: Features, index: int, count: int) -> Series:
+def _require_readings(features: Features, index: int, count: int) -> Series:
     if features.joints is None or not len(features.joints.t):
         raise LogError(f"log {index + 1} of {count}: no joint readings to learn from; type: bodylog info LOG")
     return features.joints
 
 
-def _joint(name: str, readings: Sequence[Series], still: Sequence[bool]) -> Joint:
+def _smooth_joint_over_logs(name: str, readings: Sequence[Series], still: Sequence[bool]) -> SmoothedJoint:
     columns = [(r.t, r.values[:, r.names.index(name)]) for r in readings]
-    chains = {k: chain(*column) for k, column in enumerate(columns) if not still[k]}
-    pooled = fit(list(chains.values()), 2) if chains else unmoved()
-    each = {k: pooled if len(chains) == 1 else fit([one], 2) for k, one in chains.items()}
-    moving = {k: Moving(one, _likelier(one, each[k])) for k, one in chains.items()}
-    return Joint(name, tuple(moving.get(k) or posed(*column) for k, column in enumerate(columns)), pooled)
+    chains = {k: build_reading_chain(*column) for k, column in enumerate(columns) if not still[k]}
+    pooled = fit_white_motion(list(chains.values()), 2) if chains else motion_of_resting_joint()
+    each = {k: pooled if len(chains) == 1 else fit_white_motion([one], 2) for k, one in chains.items()}
+    moving = {k: Moving(one, _likelier_motion(one, each[k])) for k, one in chains.items()}
+    return SmoothedJoint(name, tuple(moving.get(k) or poses_with_readings(*column) for k, column in enumerate(columns)), pooled)
 
 
-def _likelier(signal: Chain, acceleration: Motion) -> Motion:
+def _likelier_motion(signal: ReadingChain, acceleration: WhiteMotion) -> WhiteMotion:
     """White acceleration or white jerk, whichever has the greater evidence."""
-    jerk = fit([signal], 3)
+    jerk = fit_white_motion([signal], 3)
     return jerk if jerk.evidence > acceleration.evidence else acceleration
 
 
-def _pairs(track: Series, log: int, chosen: Sequence[Joint], every: int) -> Pairs:
+def _pair_track(track: Series, log: int, chosen: Sequence[SmoothedJoint], every: int) -> Pairs:
     rows = np.argsort(track.t, kind="stable")[::every]
     t, y = track.t[rows], track.values[rows]
     floor = np.zeros_like(y) if track.std is None else track.std[rows] ** 2

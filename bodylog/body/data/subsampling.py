@@ -5,12 +5,12 @@ import numpy as np
 from ...types import Array
 
 
-def spaced(total: int, count: int) -> Array:
+def choose_spaced_rows(total: int, count: int) -> Array:
     """At most `count` of `total` rows, evenly spaced, with the first and last."""
     return np.unique(np.linspace(0, total - 1, min(total, count)).round().astype(int))
 
 
-def farthest(x: Array, count: int) -> Array:
+def choose_farthest_rows(x: Array, count: int) -> Array:
     """Rows of x (N,M) rad, ascending, that cover it best: each the farthest from those before (Gonzalez 1985)."""
     if len(x) <= count:
         return np.arange(len(x))
@@ -23,7 +23,7 @@ def farthest(x: Array, count: int) -> Array:
     return np.unique(chosen)
 
 
-def pivots(z: Array, most: int, tolerance: float) -> Array:
+def choose_pivot_rows(z: Array, most: int, tolerance: float) -> Array:
     """Rows of z (N,M), in length scales, each of greatest variance given those before; ends below `tolerance`.
 
     A Cholesky factorisation with pivots (Foster et al. 2009), so the kernel of the rows is well conditioned.

@@ -6,8 +6,8 @@ from math import tau
 import numpy as np
 
 from ...types import Array, Features, Finding
-from ..senses.track import Sense
-from .pairs import Joint, Pairs
+from ..senses.track import TrackSense
+from .pairs import SmoothedJoint, Pairs
 
 FEWEST, PER_JOINT = 8, 3
 """Fewest sightings of a track, in all and per joint that moved."""
@@ -24,7 +24,7 @@ STILL = 1e-6
 """px: a track that moves less stands still."""
 
 
-def unfit(part: Pairs, chosen: Sequence[Joint], fewest: int = FEWEST) -> str | None:
+def reason_untrainable(part: Pairs, chosen: Sequence[SmoothedJoint], fewest: int = FEWEST) -> str | None:
     """Why a track's sightings cannot be learned from; None if they can."""
     least = max(fewest, PER_JOINT * len(chosen))
     if len(part.x) < least:
@@ -36,7 +36,7 @@ def unfit(part: Pairs, chosen: Sequence[Joint], fewest: int = FEWEST) -> str | N
     return None
 
 
-def unexplained(found: Sense) -> str | None:
+def reason_unexplained(found: TrackSense) -> str | None:
     """Why a learned track is not kept: held out, it is no better than a constant."""
     mean, error = log_ratio(found.residual, found.constant, found.used.block)
     if mean + SURE * error < 0.0 and mean < np.log(BETTER):
@@ -48,7 +48,7 @@ def unexplained(found: Sense) -> str | None:
     )
 
 
-def vague(found: Sense, chosen: Sequence[Joint]) -> str | None:
+def reason_vague(found: TrackSense, chosen: Sequence[SmoothedJoint]) -> str | None:
     """Why a learned track tells nothing about the joints; None where one image shows an offset of some joint.
 
 
@@ -68,7 +68,7 @@ def vague(found: Sense, chosen: Sequence[Joint]) -> str | None:
     )
 
 
-def visible_angle(found: Sense) -> Array:
+def visible_angle(found: TrackSense) -> Array:
     """The error (M,) of each joint alone that moves the track by one held-out error, in the joints' unit.
 
     1/√Σ_d J²_dm/e²_d of mean squared slopes J² at the samples and squared held-out errors e² of the outputs d. Slopes
@@ -83,7 +83,7 @@ def visible_angle(found: Sense) -> Array:
     return np.asarray(1.0 / np.sqrt(np.maximum((shrunk / held_out[:, None]).sum(axis=0), 1e-300)))
 
 
-def explained(found: Sense) -> float:
+def explained_motion_share(found: TrackSense) -> float:
     """Share of the squared motion that held-out predictions explain, by medians: 1 all, 0 no more than a constant."""
     own, constant = (float(np.median(np.square(r).sum(axis=1))) for r in (found.residual, found.constant))
     return 1.0 - own / constant if constant > 0.0 else 0.0
@@ -92,19 +92,19 @@ def explained(found: Sense) -> float:
 def log_ratio(own: Array, other: Array, block: Array) -> tuple[float, float]:
     """Mean over blocks of time of the log ratio of two models' median errors (n,2) px, and its standard error."""
     blocks = [np.flatnonzero(block == label) for label in np.unique(block)]
-    logs = np.array([_ratio(own[rows], other[rows]) for rows in blocks])
+    logs = np.array([_log_error_ratio(own[rows], other[rows]) for rows in blocks])
     return float(logs.mean()), float(logs.std(ddof=1) / np.sqrt(len(logs))) if len(logs) > 1 else np.inf
 
 
-def _ratio(own: Array, constant: Array) -> float:
+def _log_error_ratio(own: Array, constant: Array) -> float:
     """ln of the median error (n,2) over the constant's."""
     sizes = [float(np.median(np.linalg.norm(r, axis=1))) for r in (own, constant)]
     return float(np.log(max(sizes[0], STILL) / max(sizes[1], STILL)))
 
 
-def seen(features: Sequence[Features], name: str) -> str:
+def describe_sighting_counts(features: Sequence[Features], name: str) -> str:
     """In how many images a track was seen, and why not in the others, by reason."""
-    counts = [counted(found, name) for found in features if name in found.tracks]
+    counts = [count_sightings(found, name) for found in features if name in found.tracks]
     looked, used = sum(c[0] for c in counts), sum(c[1] for c in counts)
     reasons: dict[str, int] = {}
     for _, _, rejected in counts:
@@ -114,7 +114,7 @@ def seen(features: Sequence[Features], name: str) -> str:
     return f"seen in {used} of {looked} images" + (f" (others: {why})" if why else "")
 
 
-def counted(found: Features, name: str) -> tuple[int, int, dict[str, int]]:
+def count_sightings(found: Features, name: str) -> tuple[int, int, dict[str, int]]:
     """Images searched for a track, images it was seen in, and counts of the others by reason."""
     health, track = found.health.get(name), found.tracks[name]
     if health is not None:
@@ -123,7 +123,7 @@ def counted(found: Features, name: str) -> tuple[int, int, dict[str, int]]:
     return len(track.t), shown, {"not seen": len(track.t) - shown} if shown < len(track.t) else {}
 
 
-def moved(known: Sequence[Joint], chosen: Sequence[Joint]) -> Finding:
+def learned_joints_finding(known: Sequence[SmoothedJoint], chosen: Sequence[SmoothedJoint]) -> Finding:
     """The joints learned over and their ranges."""
     ranges = ", ".join(f"{joint.name} {joint.range:.3g}" for joint in chosen)
     rest = [joint.name for joint in known if joint not in chosen]

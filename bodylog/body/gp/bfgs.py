@@ -15,29 +15,29 @@ _SETTLED = 1e-6
 Loss = Callable[[Array], tuple[float, Array]]
 
 
-def descend(loss: Loss, first: Array, low: Array, high: Array, curvature: Array) -> Array:
+def minimise_with_bfgs(loss: Loss, first: Array, low: Array, high: Array, curvature: Array) -> Array:
     """Minimise a loss (value, gradient (p,)) from `first` (p,); curvature (p,p): a positive definite guess."""
     guess = np.linalg.inv(curvature)
     here, inverse = first, guess
     value, gradient = loss(here)
     for _ in range(_STEPS):
-        step = _step(here, gradient, inverse, low, high)
+        step = _bounded_step(here, gradient, inverse, low, high)
         fall = float(step @ gradient)
         if -fall <= _SETTLED * max(1.0, abs(value)):
             break
-        found = _search(loss, here, value, gradient, step, low, high)
+        found = _search_along_step(loss, here, value, gradient, step, low, high)
         if found is None:
             if inverse is guess:
                 break
             inverse = guess
             continue
         there, value, slope = found
-        inverse = _updated(inverse, there - here, slope - gradient)
+        inverse = _update_inverse_hessian(inverse, there - here, slope - gradient)
         here, gradient = there, slope
     return here
 
 
-def _step(here: Array, gradient: Array, inverse: Array, low: Array, high: Array) -> Array:
+def _bounded_step(here: Array, gradient: Array, inverse: Array, low: Array, high: Array) -> Array:
     """The quasi-Newton step, at most 3 in any variable; variables held by a bound stay."""
     held = ((here <= low) & (gradient > 0)) | ((here >= high) & (gradient < 0))
     if held.any():
@@ -50,7 +50,7 @@ def _step(here: Array, gradient: Array, inverse: Array, low: Array, high: Array)
     return np.asarray(step * min(1.0, _FARTHEST / max(float(np.abs(step).max()), 1e-300)))
 
 
-def _search(
+def _search_along_step(
     loss: Loss, here: Array, value: float, gradient: Array, step: Array, low: Array, high: Array
 ) -> tuple[Array, float, Array] | None:
     """The first point along the step, shortened each time, with enough decrease, or None."""
@@ -66,7 +66,7 @@ def _search(
     return None
 
 
-def _updated(inverse: Array, step: Array, bend: Array) -> Array:
+def _update_inverse_hessian(inverse: Array, step: Array, bend: Array) -> Array:
     """N&W (6.17); unchanged where the curvature is negative."""
     along = float(step @ bend)
     if along <= 1e-12 * sqrt(float(step @ step) * float(bend @ bend)):

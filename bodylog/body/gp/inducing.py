@@ -7,9 +7,9 @@ from functools import reduce
 import numpy as np
 
 from ...types import Array
-from ..data.subsampling import pivots, spaced
-from .marginal_likelihood import Hyper, Spread, cholesky, independent, inverse_lower
-from .model import se
+from ..data.subsampling import choose_pivot_rows, choose_spaced_rows
+from .marginal_likelihood import Hyper, Spread, cholesky_with_jitter, independent_noise, inverse_lower
+from .model import se_kernel
 
 _MOST = 400
 _POOL = 20_000
@@ -59,29 +59,29 @@ class Sparse:
     bound: float
 
 
-def inducing(kernels: Sequence[Hyper], x: Array, noise: float) -> Array:
+def choose_inducing_points(kernels: Sequence[Hyper], x: Array, noise: float) -> Array:
     """At most 400 points among x (n,M) rad that leave a hundredth of `noise` / n in the roughest of the kernels.
 
     Then n samples with such noise differ from the exact posterior by less than 0.01 nats (Burt et al. 2019).
     """
-    pool = x[spaced(len(x), _POOL)]
+    pool = x[choose_spaced_rows(len(x), _POOL)]
     scales = np.min([k.scales for k in kernels], axis=0)
     amplitude = max(k.amplitude for k in kernels)
-    return np.asarray(pool[pivots(pool / scales, _MOST, max(0.01 * noise / (len(x) * amplitude), _TOLERANCE))])
+    return np.asarray(pool[choose_pivot_rows(pool / scales, _MOST, max(0.01 * noise / (len(x) * amplitude), _TOLERANCE))])
 
 
-def basis(kernel: Hyper, centres: Array) -> Basis:
+def build_basis(kernel: Hyper, centres: Array) -> Basis:
     """The kernel on inducing points (m,M) rad."""
-    gram = se(centres / kernel.scales, centres / kernel.scales, kernel.amplitude)
-    return Basis(kernel, centres, inverse_lower(cholesky(gram, independent(np.zeros(len(centres))), 0.0)))
+    gram = se_kernel(centres / kernel.scales, centres / kernel.scales, kernel.amplitude)
+    return Basis(kernel, centres, inverse_lower(cholesky_with_jitter(gram, independent_noise(np.zeros(len(centres))), 0.0)))
 
 
-def sums(base: Basis, x: Array, y: Array, spread: Spread) -> Sums:
+def sufficient_sums(base: Basis, x: Array, y: Array, spread: Spread) -> Sums:
     """Sums over samples x (n,M), y (n,G) with known noise `spread`, whose couplings end at each 1024th sample."""
-    return reduce(Sums.plus, (_sums(base, x[rows], y[rows], part) for rows, part in _chunks(spread)))
+    return reduce(Sums.plus, (_chunk_sums(base, x[rows], y[rows], part) for rows, part in _split_into_chunks(spread)))
 
 
-def posterior(base: Basis, total: Sums) -> Sparse:
+def sparse_posterior(base: Basis, total: Sums) -> Sparse:
     """The best Gaussian on the inducing points, with the constant mean of greatest likelihood."""
     values, vectors = np.linalg.eigh(total.outer)
     values = np.maximum(values, 0.0)
@@ -97,33 +97,33 @@ def posterior(base: Basis, total: Sums) -> Sparse:
     return Sparse(weights.T, factor, mean, -0.5 * (fit + float(entropy)))
 
 
-def held_out(base: Basis, x: Array, y: Array, spread: Spread, blocks: Sequence[Array]) -> tuple[Array, Array]:
+def sparse_held_out_residuals(base: Basis, x: Array, y: Array, spread: Spread, blocks: Sequence[Array]) -> tuple[Array, Array]:
     """Residual (n,G) of each sample predicted without its block of rows, and its variance (n,), noise included."""
-    parts = [sums(base, x[rows], y[rows], among(spread, rows)) for rows in blocks]
+    parts = [sufficient_sums(base, x[rows], y[rows], noise_of_rows(spread, rows)) for rows in blocks]
     total = reduce(Sums.plus, parts)
     residual, variance = np.empty(y.shape), spread.diagonal + base.kernel.noise + base.kernel.amplitude
     for rows, part in zip(blocks, parts, strict=True):
-        found = posterior(base, total.plus(part, -1))
-        cross = _cross(base, x[rows])
+        found = sparse_posterior(base, total.plus(part, -1))
+        cross = _cross_kernel(base, x[rows])
         residual[rows] = y[rows] - cross @ found.weights.T - found.mean
         variance[rows] -= np.square(cross @ found.factor.T).sum(axis=1)
     return residual, variance
 
 
-def deviations(base: Basis, found: Sparse, x: Array, y: Array, spread: Spread) -> Array:
+def standardised_residuals(base: Basis, found: Sparse, x: Array, y: Array, spread: Spread) -> Array:
     """Residual (n,G) of samples y (n,G) at x (n,M) in standard deviations, noise included."""
-    cross = _cross(base, x)
+    cross = _cross_kernel(base, x)
     variance = spread.diagonal + base.kernel.noise + base.kernel.amplitude
     variance = variance - np.square(cross @ found.factor.T).sum(axis=1)
     return np.asarray((y - cross @ found.weights.T - found.mean) / np.sqrt(variance)[:, None])
 
 
-def _sums(base: Basis, x: Array, y: Array, spread: Spread) -> Sums:
+def _chunk_sums(base: Basis, x: Array, y: Array, spread: Spread) -> Sums:
     # whiten before summing: the sum would square the condition number of the Gram matrix
-    cross, sides = _cross(base, x) @ base.inverse.T, np.column_stack([np.ones(len(y)), y])
+    cross, sides = _cross_kernel(base, x) @ base.inverse.T, np.column_stack([np.ones(len(y)), y])
     seen = np.square(cross).sum(axis=1)
     if len(spread.i):
-        chol = cholesky(np.zeros((len(x), len(x))), spread, base.kernel.noise)
+        chol = cholesky_with_jitter(np.zeros((len(x), len(x))), spread, base.kernel.noise)
         inverse = inverse_lower(chol)
         cross, sides = inverse @ cross, inverse @ sides
         logdet = 2.0 * float(np.log(np.diag(chol)).sum())
@@ -136,17 +136,17 @@ def _sums(base: Basis, x: Array, y: Array, spread: Spread) -> Sums:
     return Sums(cross.T @ cross, cross.T @ sides, sides.T @ sides, logdet, lost, len(x))
 
 
-def _cross(base: Basis, x: Array) -> Array:
-    return se(x / base.kernel.scales, base.centres / base.kernel.scales, base.kernel.amplitude)
+def _cross_kernel(base: Basis, x: Array) -> Array:
+    return se_kernel(x / base.kernel.scales, base.centres / base.kernel.scales, base.kernel.amplitude)
 
 
-def _chunks(spread: Spread) -> Iterator[tuple[slice, Spread]]:
+def _split_into_chunks(spread: Spread) -> Iterator[tuple[slice, Spread]]:
     for start in range(0, len(spread.diagonal), _CHUNK):
         rows = np.arange(start, min(start + _CHUNK, len(spread.diagonal)))
-        yield slice(start, start + len(rows)), among(spread, rows)
+        yield slice(start, start + len(rows)), noise_of_rows(spread, rows)
 
 
-def among(spread: Spread, rows: Array) -> Spread:
+def noise_of_rows(spread: Spread, rows: Array) -> Spread:
     """The noise of some rows."""
     place = np.full(len(spread.diagonal), -1)
     place[rows] = np.arange(len(rows))

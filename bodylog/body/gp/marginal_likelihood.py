@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from ...types import Array
-from ..data.subsampling import spaced
-from .bfgs import descend
-from .model import se, shares
+from ..data.subsampling import choose_spaced_rows
+from .bfgs import minimise_with_bfgs
+from .model import se_kernel, variance_shares
 
 _JITTER = 1e-10
 _INFORMANTS = 100
@@ -31,7 +31,7 @@ class Hyper:
         return np.asarray(np.log(np.concatenate([[self.amplitude], self.scales, [self.noise]])))
 
 
-def hyper(theta: Array) -> Hyper:
+def hyper_from_theta(theta: Array) -> Hyper:
     """The inverse of Hyper.theta."""
     values = np.exp(theta)
     return Hyper(values[1:-1], float(values[0]), float(values[-1]))
@@ -55,10 +55,10 @@ class Spread:
         return Spread(self.diagonal * factor, self.i, self.j, self.value * factor, self.share)
 
 
-def independent(diagonal: Array) -> Spread:
+def independent_noise(diagonal: Array) -> Spread:
     """Noise (n,) of all outputs, or (n,G) of each, without covariance between samples."""
     diagonal = diagonal.reshape(len(diagonal), -1)
-    nothing, share = np.zeros(0, np.int64), shares(diagonal)
+    nothing, share = np.zeros(0, np.int64), variance_shares(diagonal)
     return Spread((diagonal / share).mean(axis=1), nothing, nothing, np.zeros(0), share)
 
 
@@ -91,25 +91,25 @@ FLAT = Prior(np.ones(()), np.inf)
 ROTATION = Prior(np.ones(()), 0.35)
 
 
-def condition(kernel: Hyper, x: Array, y: Array, spread: Spread) -> Posterior:
+def condition_gp(kernel: Hyper, x: Array, y: Array, spread: Spread) -> Posterior:
     """Posterior of outputs y (n,G) that share `kernel`, with known noise `spread`."""
     z = (x - x.mean(axis=0)) / kernel.scales
-    return _condition(se(z, z, kernel.amplitude), kernel.noise, y, spread)
+    return _condition_on_gram(se_kernel(z, z, kernel.amplitude), kernel.noise, y, spread)
 
 
-def evidence(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, Array]:
+def log_marginal_likelihood(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, Array]:
     """Log marginal likelihood (nats) at theta and its gradient; the constant mean is maximised out (R&W 2.30, 5.9)."""
-    return _evidence(theta, _terms(x), y, spread)
+    return _likelihood_from_terms(theta, _kernel_terms(x), y, spread)
 
 
-def _evidence(theta: Array, terms: Array, y: Array, spread: Spread) -> tuple[float, Array]:
+def _likelihood_from_terms(theta: Array, terms: Array, y: Array, spread: Spread) -> tuple[float, Array]:
     """The same for inputs with precomputed terms."""
     kernel, group = np.exp(theta), y.shape[1]
-    gram = _grams(theta, terms)
-    found = _condition(gram, kernel[-1], y, spread)
-    inverse, _ = _lapack().dpotri(found.chol, lower=1, overwrite_c=1)
+    gram = _kernel_grams(theta, terms)
+    found = _condition_on_gram(gram, kernel[-1], y, spread)
+    inverse, _ = _import_lapack().dpotri(found.chol, lower=1, overwrite_c=1)
     # R&W 5.9: derivative by each entry of the covariance, ααᵀ − G K⁻¹; one triangle, zeros in the other
-    worth = _blas().dsyrk(1.0, found.alpha, beta=-group, c=inverse, lower=1, overwrite_c=1).T
+    worth = _import_blas().dsyrk(1.0, found.alpha, beta=-group, c=inverse, lower=1, overwrite_c=1).T
     trace = worth.trace()
     worth *= gram
     gradient = np.empty(len(theta))
@@ -120,21 +120,21 @@ def _evidence(theta: Array, terms: Array, y: Array, spread: Spread) -> tuple[flo
     return found.evidence, gradient
 
 
-def maximise(x: Array, y: Array, spread: Spread, prior: Prior, starts: Array) -> Hyper:
+def maximise_evidence(x: Array, y: Array, spread: Spread, prior: Prior, starts: Array) -> Hyper:
     """The kernel of greatest evidence under the prior; x and y of order one, starts (S,M+2) in theta.
 
     One descent from the best start, with the Fisher information there as first curvature.
     """
-    terms = _terms(x)
+    terms = _kernel_terms(x)
     low = np.array([-10.0, *[-5.0] * x.shape[1], -23.0])
     high = np.array([16.0, *[10.0] * x.shape[1], 3.0])
     thetas = np.minimum(np.maximum(starts, low), high)
-    first = thetas[0] if len(thetas) == 1 else thetas[np.argmin(_values(thetas, terms, y, spread, prior))]
-    curvature = _information(first, x, y.shape[1], spread, prior)
-    return hyper(descend(lambda theta: _loss(theta, terms, y, spread, prior), first, low, high, curvature))
+    first = thetas[0] if len(thetas) == 1 else thetas[np.argmin(_losses_at_thetas(thetas, terms, y, spread, prior))]
+    curvature = _fisher_information(first, x, y.shape[1], spread, prior)
+    return hyper_from_theta(minimise_with_bfgs(lambda theta: _negative_log_posterior(theta, terms, y, spread, prior), first, low, high, curvature))
 
 
-def starts(x: Array, seed: int, count: int) -> Array:
+def draw_kernel_starts(x: Array, seed: int, count: int) -> Array:
     """A typical first guess for x, y of order one, then seeded ones: as rough or smoother, as noisy or quieter."""
     draw, inputs = np.random.default_rng(seed), x.shape[1]
     jumps = np.zeros((count, inputs + 2))
@@ -145,26 +145,26 @@ def starts(x: Array, seed: int, count: int) -> Array:
     return Hyper(np.full(inputs, 2.0), 1.0, 1e-2).theta + jumps
 
 
-def _loss(theta: Array, terms: Array, y: Array, spread: Spread, prior: Prior) -> tuple[float, Array]:
-    value, gradient = _evidence(theta, terms, y, spread)
-    away = _away(theta, prior)
+def _negative_log_posterior(theta: Array, terms: Array, y: Array, spread: Spread, prior: Prior) -> tuple[float, Array]:
+    value, gradient = _likelihood_from_terms(theta, terms, y, spread)
+    away = _distance_from_prior(theta, prior)
     gradient[1:-1] -= away / prior.width
     return 0.5 * float(away @ away) - value, -gradient
 
 
-def _values(thetas: Array, terms: Array, y: Array, spread: Spread, prior: Prior) -> list[float]:
+def _losses_at_thetas(thetas: Array, terms: Array, y: Array, spread: Spread, prior: Prior) -> list[float]:
     """The loss alone, at several thetas (S,M+2)."""
-    noises, grams = np.exp(thetas[:, -1]), _grams(thetas, terms)
-    fits = [_condition(gram, noise, y, spread).evidence for gram, noise in zip(grams, noises, strict=True)]
-    return [0.5 * float(np.square(_away(t, prior)).sum()) - fit for t, fit in zip(thetas, fits, strict=True)]
+    noises, grams = np.exp(thetas[:, -1]), _kernel_grams(thetas, terms)
+    fits = [_condition_on_gram(gram, noise, y, spread).evidence for gram, noise in zip(grams, noises, strict=True)]
+    return [0.5 * float(np.square(_distance_from_prior(t, prior)).sum()) - fit for t, fit in zip(thetas, fits, strict=True)]
 
 
-def _information(theta: Array, x: Array, group: int, spread: Spread, prior: Prior) -> Array:
+def _fisher_information(theta: Array, x: Array, group: int, spread: Spread, prior: Prior) -> Array:
     """Fisher information ½ tr(K⁻¹∂K K⁻¹∂K) of the G outputs and the prior (p,p), from at most 100 of the samples."""
-    rows = spaced(len(x), _INFORMANTS)
-    kernel, terms, count = np.exp(theta), _terms(x[rows]), len(rows)
-    gram = _grams(theta, terms)
-    inverse = inverse_lower(cholesky(gram, independent(spread.diagonal[rows]), kernel[-1]))
+    rows = choose_spaced_rows(len(x), _INFORMANTS)
+    kernel, terms, count = np.exp(theta), _kernel_terms(x[rows]), len(rows)
+    gram = _kernel_grams(theta, terms)
+    inverse = inverse_lower(cholesky_with_jitter(gram, independent_noise(spread.diagonal[rows]), kernel[-1]))
     bends = terms[1:].reshape(-1, count, count) * (-2.0 / kernel[1:-1, None, None] ** 2)
     slopes = np.array([gram, *(gram * bends), kernel[-1] * np.eye(count)])
     whitened = (inverse @ slopes @ inverse.T).reshape(len(theta), -1)
@@ -174,12 +174,12 @@ def _information(theta: Array, x: Array, group: int, spread: Spread, prior: Prio
     return np.asarray(found)
 
 
-def _away(theta: Array, prior: Prior) -> Array:
+def _distance_from_prior(theta: Array, prior: Prior) -> Array:
     """Distance of each length scale from the prior's, in widths."""
     return np.asarray((theta[1:-1] - np.log(prior.scales)) / prior.width)
 
 
-def _terms(x: Array) -> Array:
+def _kernel_terms(x: Array) -> Array:
     """Terms of the kernel's logarithm: 1 and, for each input, −½ (xᵢ − xⱼ)²: (1+M,n²)."""
     terms = np.ones((1 + x.shape[1], len(x), len(x)))
     np.subtract(x.T[:, :, None], x.T[:, None], out=terms[1:])
@@ -187,7 +187,7 @@ def _terms(x: Array) -> Array:
     return terms.reshape(len(terms), -1)
 
 
-def _grams(theta: Array, terms: Array) -> Array:
+def _kernel_grams(theta: Array, terms: Array) -> Array:
     """The kernel between all samples (n,n), or at several thetas (S,p) each: (S,n,n)."""
     shares = theta[..., :-1].copy()
     shares[..., 1:] = np.exp(-2.0 * shares[..., 1:])
@@ -195,11 +195,11 @@ def _grams(theta: Array, terms: Array) -> Array:
     return np.asarray(np.exp(gram, out=gram).reshape(*theta.shape[:-1], count, count))
 
 
-def _condition(gram: Array, noise: float, y: Array, spread: Spread) -> Posterior:
-    chol = cholesky(gram, spread, noise)
+def _condition_on_gram(gram: Array, noise: float, y: Array, spread: Spread) -> Posterior:
+    chol = cholesky_with_jitter(gram, spread, noise)
     sides = np.ones((len(y), y.shape[1] + 1), order="F")
     sides[:, 1:] = y
-    solved, _ = _lapack().dpotrs(chol, sides, lower=1, overwrite_b=1)
+    solved, _ = _import_lapack().dpotrs(chol, sides, lower=1, overwrite_b=1)
     total = solved.sum(axis=0)
     mean = total[1:] / total[0]
     alpha = solved[:, 1:] - solved[:, :1] * mean
@@ -208,9 +208,9 @@ def _condition(gram: Array, noise: float, y: Array, spread: Spread) -> Posterior
     return Posterior(alpha, mean, chol, float(-0.5 * fit - entropy))
 
 
-def cholesky(gram: Array, spread: Spread, noise: float) -> Array:
+def cholesky_with_jitter(gram: Array, spread: Spread, noise: float) -> Array:
     """Lower factor (n,n) of gram + spread + noise I, zeros above; jitter grows tenfold until it exists."""
-    count, dpotrf = len(gram), _lapack().dpotrf
+    count, dpotrf = len(gram), _import_lapack().dpotrf
     diagonal = spread.diagonal + noise
     jitter = _JITTER * float(gram[0, 0] or diagonal[0])
     for _ in range(9):
@@ -228,18 +228,18 @@ def cholesky(gram: Array, spread: Spread, noise: float) -> Array:
 
 def inverse_lower(chol: Array) -> Array:
     """Inverse (n,n) of a lower triangular factor."""
-    return np.ascontiguousarray(_lapack().dtrtri(chol, lower=1)[0])
+    return np.ascontiguousarray(_import_lapack().dtrtri(chol, lower=1)[0])
 
 
 @cache
-def _lapack() -> Any:
+def _import_lapack() -> Any:
     from scipy.linalg import lapack
 
     return lapack
 
 
 @cache
-def _blas() -> Any:
+def _import_blas() -> Any:
     from scipy.linalg import blas
 
     return blas

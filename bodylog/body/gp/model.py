@@ -78,9 +78,9 @@ class GP:
         """Covariance of the model's error between all pairs of x (N,M) rad: (G,N,N) unit², for outputs of `share` 1."""
         result = np.empty((len(self.scales), len(x), len(x)))
         for group, scales in enumerate(self.scales):
-            kernel = se(x / scales, self.centres / scales, self.amplitude[group])
+            kernel = se_kernel(x / scales, self.centres / scales, self.amplitude[group])
             projected = self._projected(group, kernel)
-            result[group] = MISFIT * (se(x / scales, x / scales, self.amplitude[group]) - projected @ projected.T)
+            result[group] = MISFIT * (se_kernel(x / scales, x / scales, self.amplitude[group]) - projected @ projected.T)
         return result
 
     def slope_variance(self, x: Array) -> Array:
@@ -88,8 +88,8 @@ class GP:
         result = np.empty((len(x), len(self.mean), x.shape[1]))
         for group, scales in enumerate(self.scales):
             members = self._members(group)
-            for rows in _blocks(len(x), len(self.centres)):
-                kernel = se(x[rows] / scales, self.centres / scales, self.amplitude[group])
+            for rows in _cache_sized_slices(len(x), len(self.centres)):
+                kernel = se_kernel(x[rows] / scales, self.centres / scales, self.amplitude[group])
                 for m, scale in enumerate(scales):
                     lean = kernel * (self.centres[:, m] - x[rows, m, None]) / scale**2
                     left = self.amplitude[group] / scale**2 - np.square(self._projected(group, lean)).sum(axis=-1)
@@ -106,7 +106,7 @@ class GP:
     @cached_property
     def share(self) -> Array:
         """Factor (D,) of each output's noise and variance over the mean of those that share its kernel."""
-        return shares(self.spread) if len(self.scales) == 1 else np.ones(len(self.mean))
+        return variance_shares(self.spread) if len(self.scales) == 1 else np.ones(len(self.mean))
 
     @cached_property
     def reach(self) -> Array:
@@ -193,7 +193,7 @@ class _Single:
         below = np.vstack([tilt, np.ones(len(offset)), -0.5 * (offset.T * tilt).sum(axis=0)])
         above = np.column_stack([self.near, self.fixed, np.ones(len(self.fixed))])
         value, slope = np.empty((len(offset), outputs)), np.empty((len(offset), outputs, inputs))
-        for block in _blocks(len(offset), len(self.fixed)):
+        for block in _cache_sized_slices(len(offset), len(self.fixed)):
             kernel = above @ below[:, block]
             sums = rows @ np.exp(kernel, out=kernel)
             leans = sums[outputs:linear].reshape(outputs, inputs, -1) - sums[:outputs, None] * tilt[:, block]
@@ -203,13 +203,13 @@ class _Single:
         return value, slope
 
 
-def _blocks(count: int, width: int) -> Iterator[slice]:
+def _cache_sized_slices(count: int, width: int) -> Iterator[slice]:
     """Row slices of a (count, width) array that fit the cache."""
     step = max(1, _BLOCK_BYTES // (8 * width))
     return (slice(start, min(start + step, count)) for start in range(0, count, step))
 
 
-def shortened(gp: GP) -> GP:
+def drop_negligible_rows(gp: GP) -> GP:
     """Drop rows r of the factor while the variance changes by at most NEGLIGIBLE of itself at every x.
 
     With F the factor and K the Gram matrix of the centres, F K Fᵀ has eigenvalues λ/(1+λ), where λ is signal over noise
@@ -217,20 +217,20 @@ def shortened(gp: GP) -> GP:
     """
     short = []
     for factor, scales, amplitude in zip(gp.factor, gp.scales, gp.amplitude, strict=True):
-        gram = se(gp.centres / scales, gp.centres / scales, amplitude)
+        gram = se_kernel(gp.centres / scales, gp.centres / scales, amplitude)
         values, vectors = np.linalg.eigh(factor @ gram @ factor.T)
         short.append((values, vectors.T @ factor))
     rank = max(int((values > NEGLIGIBLE).sum()) for values, _ in short)
     return replace(gp, factor=np.array([factor[-rank:] for _, factor in short]))
 
 
-def shares(variance: Array) -> Array:
+def variance_shares(variance: Array) -> Array:
     """Mean variances (D,) of variances (n,D) over their mean; all 1 where one is 0."""
     means = variance.mean(axis=0)
     return np.asarray(means / means.mean()) if means.all() else np.ones(len(means))
 
 
-def se(a: Array, b: Array, amplitude: float) -> Array:
+def se_kernel(a: Array, b: Array, amplitude: float) -> Array:
     """Squared-exponential kernel between a (N,M) and b (n,M), both divided by their length scales: (N,n)."""
     half_a, half_b = np.square(a).sum(axis=1), np.square(b).sum(axis=1)
     left, right = (np.ones((len(part), part.shape[1] + 2)) for part in (a, b))

@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...kinematics.adjustment import Adjusted, Known, Posed, adjust
-from ...kinematics.chain import between
+from ...kinematics.chain import chain_between
 from ...kinematics.identifiability import GIVEN
-from ...kinematics.links import Found, Space
+from ...kinematics.links import FoundLinks, Space
 from ...kinematics.rig import Rig
 from ...kinematics.robot import Robot
 from ...types import Array, Features, Series
 from ..data.pairs import Pairs
 from ..senses import encoder_function
 from .placements import Calibration, calibration_of
-from .sightings import Sightings
+from .sightings import ThingSightings
 
 STRETCHES = 30
 """Parts of a log whose images are left out together: images next to each other have the same errors."""
@@ -64,7 +64,7 @@ class Surroundings:
 
 
 def adjust_calibration(
-    links: Found, parts: Mapping[str, Sightings], beside: Surroundings, theta: Array, covariance: Array
+    links: FoundLinks, parts: Mapping[str, ThingSightings], beside: Surroundings, theta: Array, covariance: Array
 ) -> tuple[Calibration, Adjusted]:
     """The calibration of least error, and the adjustment behind it; parts: the sightings, one for each sight.
 
@@ -88,7 +88,7 @@ def _resting_joints(rig: Rig, resting: Resting) -> tuple[str, ...]:
     """Joints between cameras and markers that stood still and have readings; none where zeros are given."""
     if resting.doubt <= GIVEN:
         return ()
-    ways = [between(resting.robot, one.chain.start, one.chain.end).joints for one in rig.sights]
+    ways = [chain_between(resting.robot, one.chain.start, one.chain.end).joints for one in rig.sights]
     found = dict.fromkeys(name for way in ways for name in way)
     return tuple(name for name in found if name in resting.still and name not in rig.joints)
 
@@ -112,7 +112,7 @@ _FIXED = 1e-9
 """Prior std of what is held."""
 
 
-def _posed(one: Sightings, group: Array, names: Sequence[str], logs: Sequence[Recording]) -> Posed:
+def _posed(one: ThingSightings, group: Array, names: Sequence[str], logs: Sequence[Recording]) -> Posed:
     """Sightings for the adjustment, with the readings of further joints."""
     further = np.zeros((len(one.whole.x), len(names)))
     for log in np.unique(one.whole.log):

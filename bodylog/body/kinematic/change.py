@@ -13,13 +13,13 @@ import numpy as np
 from ...body_model import BodyModel
 from ...errors import InputError
 from ...kinematics.rig import Rig
-from ...kinematics.rotations import logarithm
+from ...kinematics.rotations import vector_from_rotation
 from ...runtime.blas_threads import one_thread
 from ...types import Array, Board, Features
-from ..data.pairs import coupled, joints, pairs
-from ..data.subsampling import spaced
-from .change_system import Fit, Part, Problem, Track, cleaned, fitted, linear, linearised
-from .model import KinematicGP, comparable
+from ..data.pairs import correlate_angle_errors, smooth_all_joints, pair_sightings
+from ..data.subsampling import choose_spaced_rows
+from .change_system import ChangeFit, ChangePart, ChangeProblem, ChangeTrack, drop_unexplained_sightings, fit_parts, linear_evidence, linearise_sightings
+from .model import KinematicGP, can_show_changes
 
 GAIN, APART = 20.0, 5.0
 """Nats that a change must win, and its margin over any other for a unique name, as for offsets in estimation/."""
@@ -63,18 +63,18 @@ class Change:
 
 
 @one_thread("scipy.linalg")
-def changes(features: Features, body: BodyModel) -> tuple[Change, ...]:
+def find_changes(features: Features, body: BodyModel) -> tuple[Change, ...]:
     """Find changes between the exploration logs and these features, most likely first.
 
     Empty where no track has kinematics, a joint lacks readings, or too little is seen.
     """
     if (problem := pose_problem(features, body)) is None:
         return ()
-    problem = cleaned(problem)
+    problem = drop_unexplained_sightings(problem)
     if sum(len(kept) for kept in problem.kept) < FEWEST:
         return ()
-    found = _paired(_searched(problem, len(body.joints)), problem)
-    centres = _centres(problem, features.boards)
+    found = _prefer_joint_pair(_search_parts(problem, len(body.joints)), problem)
+    centres = _marker_centres(problem, features.boards)
     return tuple(one for one in _weighted_changes(found, centres) if one.kind != "joint" or abs(one.value[0]) > LEAST)
 
 
@@ -85,36 +85,36 @@ _Alternatives = tuple[tuple[str, str], ...]
 class _Search:
     """Accepted parts with their common fit, and the alternatives of each."""
 
-    problem: Problem
-    parts: tuple[Part, ...]
-    fit: Fit
+    problem: ChangeProblem
+    parts: tuple[ChangePart, ...]
+    fit: ChangeFit
     alternatives: Mapping[tuple[str, str], _Alternatives]
 
 
-def _searched(problem: Problem, most: int) -> _Search:
+def _search_parts(problem: ChangeProblem, most: int) -> _Search:
     """Add one part after the other while each wins GAIN nats; drop parts that later ones explain."""
-    accepted, known, won = tuple[Part, ...](), fitted(problem, ()), dict[tuple[str, str], _Alternatives]()
+    accepted, known, won = tuple[ChangePart, ...](), fit_parts(problem, ()), dict[tuple[str, str], _Alternatives]()
     while len(accepted) < most:
         taken = {*won, *(other for alternatives in won.values() for other in alternatives)}
-        tried = _tried(problem, accepted, known, taken)
+        tried = _try_remaining_parts(problem, accepted, known, taken)
         if not tried or tried[0][1].evidence < known.evidence + GAIN:
             break
         part, best = tried[0]
         if np.isfinite(part.onset):
-            problem, part, best = _timed(problem, accepted, part, best)
-        won[part.thing] = _alternatives(part, tried)
-        accepted, known = _needed(problem, (*accepted, part), best)
+            problem, part, best = _refine_onset(problem, accepted, part, best)
+        won[part.thing] = _find_alternatives(part, tried)
+        accepted, known = _drop_unneeded_parts(problem, (*accepted, part), best)
     return _Search(problem, accepted, known, won)
 
 
-def _paired(found: _Search, problem: Problem) -> _Search:
+def _prefer_joint_pair(found: _Search, problem: ChangeProblem) -> _Search:
     """The search's result, or the best pair of joints if more likely: one other part may imitate both."""
     constant = [part for part in problem.parts if part.kind == "joint" and np.isinf(part.onset)]
     if not found.parts or len(constant) < 2:
         return found
-    about = linearised(problem, found.fit.unknowns)
-    best = max(combinations(constant, 2), key=lambda pair: linear(about, problem, pair))
-    fit = fitted(problem, best)
+    about = linearise_sightings(problem, found.fit.unknowns)
+    best = max(combinations(constant, 2), key=lambda pair: linear_evidence(about, problem, pair))
+    fit = fit_parts(problem, best)
     if fit.evidence <= found.fit.evidence or {part.thing for part in best} == set(found.alternatives):
         return found
     return _Search(problem, best, fit, dict.fromkeys((part.thing for part in best), ()))
@@ -124,71 +124,71 @@ def _weighted_changes(found: _Search, centres: Mapping[str, Array]) -> Iterator[
     """Yield every part with the nats lost without it; centres: of markers (3,) m."""
     for part in found.parts:
         others = tuple(one for one in found.parts if one is not part)
-        without = fitted(found.problem, others, found.fit.unknowns)
-        change = _change(part, found.fit, found.fit.evidence - without.evidence, found.alternatives[part.thing])
-        yield _displaced(change, part, found, centres)
+        without = fit_parts(found.problem, others, found.fit.unknowns)
+        change = _make_change(part, found.fit, found.fit.evidence - without.evidence, found.alternatives[part.thing])
+        yield _add_displacement(change, part, found, centres)
 
 
-def _needed(problem: Problem, parts: tuple[Part, ...], fit: Fit) -> tuple[tuple[Part, ...], Fit]:
+def _drop_unneeded_parts(problem: ChangeProblem, parts: tuple[ChangePart, ...], fit: ChangeFit) -> tuple[tuple[ChangePart, ...], ChangeFit]:
     """Drop parts that others, found later, explain as well."""
     for part in parts[:-1]:
         others = tuple(one for one in parts if one is not part)
-        without = fitted(problem, others, fit.unknowns)
+        without = fit_parts(problem, others, fit.unknowns)
         if without.evidence > fit.evidence - APART:
-            return _needed(problem, others, without)
+            return _drop_unneeded_parts(problem, others, without)
     return parts, fit
 
 
-def _timed(problem: Problem, accepted: tuple[Part, ...], part: Part, fit: Fit) -> tuple[Problem, Part, Fit]:
+def _refine_onset(problem: ChangeProblem, accepted: tuple[ChangePart, ...], part: ChangePart, fit: ChangeFit) -> tuple[ChangeProblem, ChangePart, ChangeFit]:
     """Refine the onset of a part between those that were tried."""
     reach, kept = float(np.diff(problem.onsets[1:]).max()), tuple(np.arange(len(one.part.x)) for one in problem.tracks)
     for turn in range(_FINER):
         ways = [replace(part, onset=float(onset)) for onset in part.onset + reach * _NEAR]
         posed = [replace(problem, parts=tuple(way if one is part else one for one in problem.parts)) for way in ways]
-        fits = [fitted(one, (*accepted, way), fit.unknowns) for one, way in zip(posed, ways, strict=True)]
+        fits = [fit_parts(one, (*accepted, way), fit.unknowns) for one, way in zip(posed, ways, strict=True)]
         best = int(np.argmax([one.evidence for one in fits]))
         if fits[best].evidence > fit.evidence:
             problem, part, fit = posed[best], ways[best], fits[best]
         if turn == 0:
             # sightings that only an intermediate onset explains looked like outliers
-            problem = cleaned(replace(problem, kept=kept, scale=1.0))
-            fit = fitted(problem, (*accepted, part), fit.unknowns)
+            problem = drop_unexplained_sightings(replace(problem, kept=kept, scale=1.0))
+            fit = fit_parts(problem, (*accepted, part), fit.unknowns)
         reach *= 0.5 if turn == 0 else 0.3
     return problem, part, fit
 
 
-def pose_problem(features: Features, body: BodyModel) -> Problem | None:
+def pose_problem(features: Features, body: BodyModel) -> ChangeProblem | None:
     """Pose the linear problem of all changes; None where no track has kinematics, or a joint lacks readings."""
     senses = {n: s for n, s in body.senses.items() if isinstance(s, KinematicGP) and n in features.tracks}
     names = () if features.joints is None else features.joints.names
-    if not senses or not comparable(body) or not set(body.joints) <= set(names):
+    if not senses or not can_show_changes(body) or not set(body.joints) <= set(names):
         return None
     try:
-        chosen = joints([features], body.joints)
+        chosen = smooth_all_joints([features], body.joints)
     except InputError:
         return None  # an encoder with hardly any readings
     tracks = []
     for name, model in senses.items():
-        part = pairs([features], name, chosen, 1)
-        part = part.rows(spaced(len(part.x), MOST)) if len(part.x) else part
-        known = coupled(part, chosen)
-        tracks.append(Track(model, part, (known.i, known.j, known.joint, known.value)))
+        part = pair_sightings([features], name, chosen, 1)
+        part = part.rows(choose_spaced_rows(len(part.x), MOST)) if len(part.x) else part
+        known = correlate_angle_errors(part, chosen)
+        tracks.append(ChangeTrack(model, part, (known.i, known.j, known.joint, known.value)))
     tracks = [track for track in tracks if len(track.part.x)]
-    return _layout(tracks, body.joints) if tracks else None
+    return _lay_out_problem(tracks, body.joints) if tracks else None
 
 
-def _layout(tracks: Sequence[Track], names: tuple[str, ...]) -> Problem | None:
+def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> ChangeProblem | None:
     first = tracks[0].model.rig
     if (first.doubt < 1e-6).all():
         return None  # offsets are turned off
     t = np.concatenate([track.part.t for track in tracks])
     inner = np.quantile(t, np.arange(1, _ONSETS) / _ONSETS).tolist() if len(t) >= 2 * _ONSETS * len(names) else []
     onsets = (-np.inf, *inner)
-    parts, std = list[Part](), list[Array]()
+    parts, std = list[ChangePart](), list[Array]()
 
     def add(kind: str, name: str, spread: Array, onset: float = -np.inf, unit: str = "rad") -> None:
         begin = sum(len(one) for one in std)
-        parts.append(Part(kind, name, slice(begin, begin + len(spread)), onset, unit))
+        parts.append(ChangePart(kind, name, slice(begin, begin + len(spread)), onset, unit))
         std.append(spread)
 
     for m, name in enumerate(names):
@@ -201,47 +201,47 @@ def _layout(tracks: Sequence[Track], names: tuple[str, ...]) -> Problem | None:
     for name, carrier in carriers.items():
         add("marker", name, MARKER[: len(carrier.doubt)])
     kept = tuple(np.arange(len(track.part.x)) for track in tracks)
-    return Problem(tuple(tracks), tuple(parts), np.concatenate(std), onsets, kept)
+    return ChangeProblem(tuple(tracks), tuple(parts), np.concatenate(std), onsets, kept)
 
 
-def _tried(
-    problem: Problem, accepted: tuple[Part, ...], known: Fit, taken: set[tuple[str, str]]
-) -> list[tuple[Part, Fit]]:
+def _try_remaining_parts(
+    problem: ChangeProblem, accepted: tuple[ChangePart, ...], known: ChangeFit, taken: set[tuple[str, str]]
+) -> list[tuple[ChangePart, ChangeFit]]:
     """Fits of each remaining part added to the accepted ones, most likely first."""
-    about = linearised(problem, known.unknowns)
-    begin = linear(about, problem, accepted)
+    about = linearise_sightings(problem, known.unknowns)
+    begin = linear_evidence(about, problem, accepted)
     promised = []
     for part in problem.parts:
         if part.thing not in taken:
             # all onsets together are as likely as none
             cost = 0.0 if np.isinf(part.onset) else float(np.log(len(problem.onsets) - 1))
-            promised.append((linear(about, problem, (*accepted, part)) - begin - cost, cost, part))
+            promised.append((linear_evidence(about, problem, (*accepted, part)) - begin - cost, cost, part))
     promised.sort(key=lambda one: -one[0])
     least = promised[0][0] if promised else 0.0
     if least < 0.5 * GAIN:
         return []
     some = [one for k, one in enumerate(promised) if k < _PROMISING or one[0] > 0.8 * least][: 2 * _PROMISING]
     some += [one for one in promised if one not in some and np.isinf(one[2].onset) and one[0] > 0.5 * least]
-    tried = [(part, fitted(problem, (*accepted, part), known.unknowns), cost) for _, cost, part in some]
+    tried = [(part, fit_parts(problem, (*accepted, part), known.unknowns), cost) for _, cost, part in some]
     costed = [(part, replace(fit, evidence=fit.evidence - cost)) for part, fit, cost in tried]
     return sorted(costed, key=lambda one: -one[1].evidence)
 
 
-def _alternatives(best: Part, tried: Sequence[tuple[Part, Fit]]) -> _Alternatives:
+def _find_alternatives(best: ChangePart, tried: Sequence[tuple[ChangePart, ChangeFit]]) -> _Alternatives:
     """Other things whose change explains the sightings within APART nats of the best."""
     top = tried[0][1].evidence
     near = [part.thing for part, fit in tried if fit.evidence > top - APART and part.thing != best.thing]
     return tuple(dict.fromkeys(near))
 
 
-def _change(part: Part, fit: Fit, nats: float, alternatives: _Alternatives) -> Change:
+def _make_change(part: ChangePart, fit: ChangeFit, nats: float, alternatives: _Alternatives) -> Change:
     since = None if np.isinf(part.onset) else part.onset
     names = tuple(name for _, name in alternatives)
     value, std = fit.unknowns[part.place], fit.std[part.place]
     return Change(part.kind, part.name, value, std, nats, since, names, part.unit)
 
 
-def _centres(problem: Problem, boards: Mapping[str, Board]) -> dict[str, Array]:
+def _marker_centres(problem: ChangeProblem, boards: Mapping[str, Board]) -> dict[str, Array]:
     """Each marker's centre (3,) m, in the marker: of all corners of a board, else of the points seen."""
     points = dict[str, list[Array]]()
     for track in problem.tracks:
@@ -251,7 +251,7 @@ def _centres(problem: Problem, boards: Mapping[str, Board]) -> dict[str, Array]:
     return {name: whole.get(name, centre) for name, centre in centres.items()}
 
 
-def _displaced(change: Change, part: Part, found: _Search, centres: Mapping[str, Array]) -> Change:
+def _add_displacement(change: Change, part: ChangePart, found: _Search, centres: Mapping[str, Array]) -> Change:
     """The change with the displacement of its own centre, and its turn; unchanged for a joint.
 
     A pose's unknowns turn a marker about the origin of its link, which may be far from it: their first three numbers
@@ -259,7 +259,7 @@ def _displaced(change: Change, part: Part, found: _Search, centres: Mapping[str,
     """
     if change.kind == "joint":
         return change
-    model = next(track.model for track in found.problem.tracks if _shows(track.model.rig, part))
+    model = next(track.model for track in found.problem.tracks if _has_part(track.model.rig, part))
     rig, theta = model.rig, model.theta
     place = rig.of_camera(0) if change.kind == "camera" else rig.of_carrier(0)
     centre = np.zeros(3) if change.kind == "camera" else centres[change.name]
@@ -276,24 +276,24 @@ def _displaced(change: Change, part: Part, found: _Search, centres: Mapping[str,
     def displacement(there: Array) -> Array:
         """How far its centre is from where it was (3,) m, and its turn (3,) rad from `after`."""
         moved = (there - before)[:3, :3] @ centre + (there - before)[:3, 3]
-        return np.concatenate([moved, logarithm(there[:3, :3] @ after[:3, :3].T)])
+        return np.concatenate([moved, vector_from_rotation(there[:3, :3] @ after[:3, :3].T)])
 
     steps = _STEP * np.eye(size)
     slope = np.stack(
         [displacement(pose(change.value + h)) - displacement(pose(change.value - h)) for h in steps], axis=1
     ) / (2.0 * _STEP)
     cov = slope @ found.fit.cov[part.place, part.place] @ slope.T
-    turned = logarithm(after[:3, :3] @ before[:3, :3].T)
-    shift = _length(displacement(after)[:3], cov[:3, :3])
-    return replace(change, shift=shift, turn=_length(turned, cov[3:, 3:]) if size == 6 else None)
+    turned = vector_from_rotation(after[:3, :3] @ before[:3, :3].T)
+    shift = _vector_length(displacement(after)[:3], cov[:3, :3])
+    return replace(change, shift=shift, turn=_vector_length(turned, cov[3:, 3:]) if size == 6 else None)
 
 
-def _shows(rig: Rig, part: Part) -> bool:
+def _has_part(rig: Rig, part: ChangePart) -> bool:
     """Whether a rig of one camera and one marker has the camera or marker of a part."""
     return (rig.cameras[0] if part.kind == "camera" else rig.carriers[0]).name == part.name
 
 
-def _length(vector: Array, cov: Array) -> tuple[float, float]:
+def _vector_length(vector: Array, cov: Array) -> tuple[float, float]:
     """The length of a vector (3,) with covariance (3,3), and its standard deviation."""
     length = float(np.linalg.norm(vector))
     along = vector / max(length, 1e-12)

@@ -17,7 +17,7 @@ _OFF_SIGMA = 3.0
 
 
 @dataclass(frozen=True)
-class Part:
+class ChangePart:
     """A group of unknowns: a joint's zero from its onset (s) on, a camera's pose, a marker's place."""
 
     kind: str
@@ -33,7 +33,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class ChangeTrack:
     """Sightings of one track, the correlation of their angles' errors, and the forward model."""
 
     model: KinematicGP
@@ -42,11 +42,11 @@ class Track:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class ChangeProblem:
     """Tracks, the unknowns' parts with their prior std (P,), onsets (S,) s; rows in use, factor on the noise."""
 
-    tracks: tuple[Track, ...]
-    parts: tuple[Part, ...]
+    tracks: tuple[ChangeTrack, ...]
+    parts: tuple[ChangePart, ...]
     std: Array
     onsets: tuple[float, ...]
     kept: tuple[Array, ...]
@@ -69,7 +69,7 @@ class System:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ChangeFit:
     """Most likely unknowns u (P,) of some parts, their covariance (P,P), and the evidence in nats."""
 
     unknowns: Array
@@ -82,13 +82,13 @@ class Fit:
         return np.asarray(np.sqrt(np.diag(self.cov)))
 
 
-def cleaned(problem: Problem) -> Problem:
+def drop_unexplained_sightings(problem: ChangeProblem) -> ChangeProblem:
     """Drop sightings that no change explains, and scale the noise to the residuals of all changes together."""
     every = problem.parts
     for _ in range(2 * _TURNS):
-        unknowns = fitted(problem, every).unknowns
-        about = linearised(problem, unknowns)
-        at = solved(about, np.arange(len(about.pull)))[0]
+        unknowns = fit_parts(problem, every).unknowns
+        about = linearise_sightings(problem, unknowns)
+        at = solve_system(about, np.arange(len(about.pull)))[0]
         left = [np.abs(rest - columns @ at) / std for rest, columns, std, _, _ in about.rows]
         white = np.concatenate([w_rest - w_columns @ at for _, _, _, w_rest, w_columns in about.rows])
         free = float(np.trace(np.linalg.solve(about.information + np.eye(len(at)), about.information)))
@@ -105,16 +105,16 @@ def cleaned(problem: Problem) -> Problem:
     return problem
 
 
-def fitted(problem: Problem, parts: Sequence[Part], begin: Array | None = None) -> Fit:
+def fit_parts(problem: ChangeProblem, parts: Sequence[ChangePart], begin: Array | None = None) -> ChangeFit:
     """Fit the unknowns of some parts, all others zero, by Gauss-Newton."""
     chosen = np.zeros(len(problem.std), bool)
     for part in parts:
         chosen[part.place] = True
     unknowns = np.where(chosen, 0.0 if begin is None else begin, 0.0)
     for _ in range(_TURNS if chosen.any() else 1):
-        about = linearised(problem, unknowns)
+        about = linearise_sightings(problem, unknowns)
         rows = np.append(np.arange(about.before), about.before + np.flatnonzero(chosen))
-        at, covariance, evidence = solved(about, rows)
+        at, covariance, evidence = solve_system(about, rows)
         step = np.zeros(len(problem.std))
         step[chosen] = at[about.before :] * problem.std[chosen] - unknowns[chosen]
         unknowns = unknowns + step
@@ -123,32 +123,32 @@ def fitted(problem: Problem, parts: Sequence[Part], begin: Array | None = None) 
         cov[np.ix_(chosen, chosen)] = covariance[about.before :, about.before :] * np.outer(scales, scales)
         if (np.abs(step[chosen]) <= 0.02 * np.sqrt(np.diag(cov)[chosen])).all():
             break
-    return Fit(unknowns, cov, evidence)
+    return ChangeFit(unknowns, cov, evidence)
 
 
-def share_off(problem: Problem, parts: Sequence[Part]) -> float:
+def outlier_share(problem: ChangeProblem, parts: Sequence[ChangePart]) -> float:
     """The share of sightings more than 3 standard deviations off where some parts have their likeliest values."""
-    unknowns = fitted(problem, parts).unknowns
-    about = linearised(problem, unknowns)
+    unknowns = fit_parts(problem, parts).unknowns
+    about = linearise_sightings(problem, unknowns)
     chosen = np.isin(np.arange(len(about.pull)), np.arange(about.before))
     for part in parts:
         chosen[about.before + part.place.start : about.before + part.place.stop] = True
     at = np.zeros(len(about.pull))
-    at[chosen] = solved(about, np.flatnonzero(chosen))[0]
+    at[chosen] = solve_system(about, np.flatnonzero(chosen))[0]
     off = [np.abs(rest - columns @ at) > _OFF_SIGMA * std for rest, columns, std, _, _ in about.rows]
     either = [off[k] | off[k + 1] for k in range(0, len(off), 2)]
     return float(np.concatenate(either).mean())
 
 
-def linear(about: System, problem: Problem, parts: Sequence[Part]) -> float:
+def linear_evidence(about: System, problem: ChangeProblem, parts: Sequence[ChangePart]) -> float:
     """Evidence (nats) of some parts, all others zero, at the present linearisation."""
     chosen = np.zeros(len(problem.std), bool)
     for part in parts:
         chosen[part.place] = True
-    return solved(about, np.append(np.arange(about.before), about.before + np.flatnonzero(chosen)))[2]
+    return solve_system(about, np.append(np.arange(about.before), about.before + np.flatnonzero(chosen)))[2]
 
 
-def solved(about: System, rows: Array) -> tuple[Array, Array, float]:
+def solve_system(about: System, rows: Array) -> tuple[Array, Array, float]:
     """Mean, covariance, in prior deviations, of some unknowns, and the evidence in nats."""
     matrix = about.information[np.ix_(rows, rows)] + np.eye(len(rows))
     covariance = np.linalg.inv(matrix)
@@ -157,7 +157,7 @@ def solved(about: System, rows: Array) -> tuple[Array, Array, float]:
     return mean, covariance, about.rest + 0.5 * float(mean @ about.pull[rows]) - 0.5 * logdet
 
 
-def linearised(problem: Problem, unknowns: Array) -> System:
+def linearise_sightings(problem: ChangeProblem, unknowns: Array) -> System:
     """Linearise all sightings about some unknowns u (P,)."""
     directions = problem.tracks[0].model.root.shape[1]
     drifts = 2 * len(problem.tracks)
@@ -166,14 +166,14 @@ def linearised(problem: Problem, unknowns: Array) -> System:
     information, pull, rest = np.zeros((size, size)), np.zeros(size), 0.0
     rows = []
     for number, (track, kept) in enumerate(zip(problem.tracks, problem.kept, strict=True)):
-        left, by_unknowns, unknown, slope, x = _track(problem, track, unknowns, kept)
+        left, by_unknowns, unknown, slope, x = _linearise_track(problem, track, unknowns, kept)
         like = GP.covariance(track.model, x)[0]
         for d in range(2):
             columns = np.zeros((len(kept), size))
             columns[:, :directions] = unknown[:, d]
             columns[:, directions + 2 * number + d] = np.sqrt(track.model.drift[d])
             columns[:, before:] = by_unknowns[:, d] * problem.std
-            cov = problem.scale * _noise(track, kept, slope[:, d], d, like)
+            cov = problem.scale * _output_covariance(track, kept, slope[:, d], d, like)
             try:
                 chol = np.linalg.cholesky(cov)
             except np.linalg.LinAlgError:
@@ -188,7 +188,7 @@ def linearised(problem: Problem, unknowns: Array) -> System:
     return System(information, pull, rest, before, rows)
 
 
-def _noise(track: Track, kept: Array, slope: Array, output: int, like: Array) -> Array:
+def _output_covariance(track: ChangeTrack, kept: Array, slope: Array, output: int, like: Array) -> Array:
     """Covariance (n,n) px² of one output's sightings: residual process, their own noise, and that of their angles."""
     model, part = track.model, track.part
     cov = like * model.share[output]
@@ -206,7 +206,7 @@ def _noise(track: Track, kept: Array, slope: Array, output: int, like: Array) ->
     return np.asarray(cov)
 
 
-def _track(problem: Problem, track: Track, unknowns: Array, kept: Array) -> tuple[Array, Array, Array, Array, Array]:
+def _linearise_track(problem: ChangeProblem, track: ChangeTrack, unknowns: Array, kept: Array) -> tuple[Array, Array, Array, Array, Array]:
     """About u (P,): residuals (n,2) px, derivatives by u (n,2,P) and z (n,2,p), slopes (n,2,M), and angles x (n,M)."""
     model, part = track.model, track.part
     t = part.t[kept]

@@ -6,20 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
-from ..data.subsampling import spaced
-from ..gp.bfgs import descend
-from ..gp.inducing import Basis, among, sums
+from ..data.subsampling import choose_spaced_rows
+from ..gp.bfgs import minimise_with_bfgs
+from ..gp.inducing import Basis, noise_of_rows, sufficient_sums
 from ..gp.marginal_likelihood import (
     Hyper,
     Prior,
     Spread,
-    _grams,
-    _information,
-    _lapack,
-    _terms,
-    cholesky,
-    hyper,
-    starts,
+    _kernel_grams,
+    _fisher_information,
+    _import_lapack,
+    _kernel_terms,
+    cholesky_with_jitter,
+    hyper_from_theta,
+    draw_kernel_starts,
 )
 
 _SCOUTS = 120
@@ -29,7 +29,7 @@ SEARCHED = 300
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class ResidualRows:
     """Residuals r (n,D) px of samples at x (n,M) rad and their derivatives by z (n,D,P) px; known noise `spread`."""
 
     x: Array
@@ -37,58 +37,58 @@ class Rows:
     design: Array
     spread: Spread
 
-    def some(self, rows: Array) -> "Rows":
+    def some(self, rows: Array) -> "ResidualRows":
         """Return some rows."""
-        return Rows(self.x[rows], self.residual[rows], self.design[rows], among(self.spread, rows))
+        return ResidualRows(self.x[rows], self.residual[rows], self.design[rows], noise_of_rows(self.spread, rows))
 
 
-def search(data: Rows, prior: Prior, seed: int) -> Hyper:
+def search_residual_kernel(data: ResidualRows, prior: Prior, seed: int) -> Hyper:
     """The kernel of greatest evidence, and the white noise beyond the known, with z marginalised."""
     deviation = np.maximum(data.x.std(axis=0), 1e-9)
     unit = max(float(np.median(np.abs(data.residual))) / 0.6745, 1e-6)
     spread = data.spread.scaled(unit**-2.0)
-    scaled = Rows(data.x / deviation, data.residual / unit, data.design / unit, spread)
+    scaled = ResidualRows(data.x / deviation, data.residual / unit, data.design / unit, spread)
     prior = prior.scaled(1.0 / deviation)
-    few, many = (thinned(scaled, count) for count in (_SCOUTS, SEARCHED))
-    terms, guesses = _terms(few.x), starts(few.x, seed, _GUESSES)
-    losses = [_loss(theta, terms, few, prior)[0] for theta in guesses]
-    best = _climb(guesses[int(np.argmin(losses))], few, prior)
+    few, many = (thin_rows(scaled, count) for count in (_SCOUTS, SEARCHED))
+    terms, guesses = _kernel_terms(few.x), draw_kernel_starts(few.x, seed, _GUESSES)
+    losses = [_residual_loss(theta, terms, few, prior)[0] for theta in guesses]
+    best = _climb_evidence(guesses[int(np.argmin(losses))], few, prior)
     if len(many.x) > len(few.x):
-        best = _climb(best.theta, many, prior)
+        best = _climb_evidence(best.theta, many, prior)
     return Hyper(best.scales * deviation, best.amplitude * unit**2, best.noise * unit**2)
 
 
-def thinned(data: Rows, count: int) -> Rows:
+def thin_rows(data: ResidualRows, count: int) -> ResidualRows:
     """At most `count` rows, evenly spaced."""
-    rows = spaced(len(data.x), count)
+    rows = choose_spaced_rows(len(data.x), count)
     return data if len(rows) == len(data.x) else data.some(rows)
 
 
-def _climb(first: Array, data: Rows, prior: Prior) -> Hyper:
-    inputs, terms = data.x.shape[1], _terms(data.x)
+def _climb_evidence(first: Array, data: ResidualRows, prior: Prior) -> Hyper:
+    inputs, terms = data.x.shape[1], _kernel_terms(data.x)
     low, high = np.array([-10.0, *[-5.0] * inputs, -23.0]), np.array([16.0, *[10.0] * inputs, 6.0])
     first = np.clip(first, low, high)
-    curvature = _information(first, data.x, data.residual.shape[1], data.spread, prior)
-    return hyper(descend(lambda theta: _loss(theta, terms, data, prior), first, low, high, curvature))
+    curvature = _fisher_information(first, data.x, data.residual.shape[1], data.spread, prior)
+    return hyper_from_theta(minimise_with_bfgs(lambda theta: _residual_loss(theta, terms, data, prior), first, low, high, curvature))
 
 
-def evidence(theta: Array, data: Rows) -> tuple[float, Array]:
+def residual_evidence(theta: Array, data: ResidualRows) -> tuple[float, Array]:
     """Log marginal likelihood (nats) at theta (as Hyper.theta), z and g marginalised, and its gradient."""
-    return _evidence(theta, _terms(data.x), data)
+    return _residual_evidence_from_terms(theta, _kernel_terms(data.x), data)
 
 
-def _loss(theta: Array, terms: Array, data: Rows, prior: Prior) -> tuple[float, Array]:
-    value, gradient = _evidence(theta, terms, data)
+def _residual_loss(theta: Array, terms: Array, data: ResidualRows, prior: Prior) -> tuple[float, Array]:
+    value, gradient = _residual_evidence_from_terms(theta, terms, data)
     away = (theta[1:-1] - np.log(prior.scales)) / prior.width
     gradient[1:-1] -= away / prior.width
     return 0.5 * float(away @ away) - value, -gradient
 
 
-def _evidence(theta: Array, terms: Array, data: Rows) -> tuple[float, Array]:
-    kernel, gram = np.exp(theta), _grams(theta, terms)
-    chol = cholesky(gram, data.spread, kernel[-1])
-    found = solved(chol, data)
-    worth = worths(chol, found)
+def _residual_evidence_from_terms(theta: Array, terms: Array, data: ResidualRows) -> tuple[float, Array]:
+    kernel, gram = np.exp(theta), _kernel_grams(theta, terms)
+    chol = cholesky_with_jitter(gram, data.spread, kernel[-1])
+    found = solve_linear_unknowns(chol, data)
+    worth = evidence_derivative(chol, found)
     trace = float(np.trace(worth))
     worth *= gram
     gradient = np.empty(len(theta))
@@ -99,20 +99,20 @@ def _evidence(theta: Array, terms: Array, data: Rows) -> tuple[float, Array]:
     return found.evidence, gradient
 
 
-def worths(chol: Array, found: "Solved") -> Array:
+def evidence_derivative(chol: Array, found: "LinearPosterior") -> Array:
     """Twice the derivative (n,n) of the evidence by the covariance, nats: αα' + C⁻¹B H⁻¹ B'C⁻¹ − D C⁻¹ (R&W 5.9)."""
     columns = np.concatenate([found.alpha.T, (found.lean @ found.root).transpose(0, 2, 1).reshape(-1, len(chol))])
-    return np.asarray(columns.T @ columns - len(found.lean) * inverted(chol))
+    return np.asarray(columns.T @ columns - len(found.lean) * inverse_from_cholesky(chol))
 
 
-def inverted(chol: Array) -> Array:
+def inverse_from_cholesky(chol: Array) -> Array:
     """The inverse (n,n) of a matrix with this lower factor."""
-    inverse = _lapack().dpotri(chol, lower=1)[0]
+    inverse = _import_lapack().dpotri(chol, lower=1)[0]
     return np.asarray(inverse + np.tril(inverse, -1).T)
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class LinearPosterior:
     """z's posterior: mean (P,) and root (P,P), with covariance root rootᵀ · alpha (n,D), lean (D,n,P) · evidence.
 
     alpha = C⁻¹(r − B z) and lean = C⁻¹B are of outputs in units of their own share of the noise.
@@ -125,24 +125,24 @@ class Solved:
     evidence: float
 
 
-def solved(chol: Array, data: Rows) -> Solved:
+def solve_linear_unknowns(chol: Array, data: ResidualRows) -> LinearPosterior:
     """The posterior of z and g for the factor (n,n) of kernel and noise, and the evidence in nats."""
     count, outputs, unknowns = data.design.shape
     own = np.sqrt(data.spread.share)
     residual, design = data.residual / own, data.design / own[:, None]
     sides = np.concatenate([residual, design.reshape(count, -1)], axis=1)
-    back = np.asarray(_lapack().dpotrs(chol, np.asfortranarray(sides), lower=1)[0])
+    back = np.asarray(_import_lapack().dpotrs(chol, np.asfortranarray(sides), lower=1)[0])
     lean = back[:, outputs:].reshape(count, outputs, unknowns).transpose(1, 0, 2)
     right = np.einsum("nd,dnp->p", residual, lean)
-    mean, root, logdet = posterior(np.einsum("ndp,dnq->pq", design, lean), right)
+    mean, root, logdet = posterior_of_unknowns(np.einsum("ndp,dnq->pq", design, lean), right)
     alpha = back[:, :outputs] - np.einsum("dnp,p->nd", lean, mean)
     fit = float((residual * back[:, :outputs]).sum() - right @ mean)
     entropy = outputs * (2.0 * float(np.log(np.diag(chol)).sum()) + count * np.log(2.0 * np.pi))
     entropy += count * float(np.log(data.spread.share).sum()) * (len(data.spread.share) == outputs)
-    return Solved(mean, root, alpha, lean, -0.5 * (fit + entropy + logdet))
+    return LinearPosterior(mean, root, alpha, lean, -0.5 * (fit + entropy + logdet))
 
 
-def shared_evidence(parts: Sequence[tuple[Array, Rows]]) -> float:
+def shared_evidence(parts: Sequence[tuple[Array, ResidualRows]]) -> float:
     """The evidence (nats) of several things that share z, each with its factor (n,n) of kernel and noise."""
     total = parts[0][1].design.shape[2]
     fit = 0.0
@@ -154,18 +154,18 @@ def shared_evidence(parts: Sequence[tuple[Array, Rows]]) -> float:
         own = np.sqrt(np.broadcast_to(data.spread.share, outputs))
         residual, design = data.residual / own, data.design / own[:, None]
         sides = np.concatenate([residual, design.reshape(count, -1)], axis=1)
-        back = np.asarray(_lapack().dpotrs(chol, np.asfortranarray(sides), lower=1)[0])
+        back = np.asarray(_import_lapack().dpotrs(chol, np.asfortranarray(sides), lower=1)[0])
         lean = back[:, outputs:].reshape(count, outputs, unknowns)
         fit = fit + float((residual * back[:, :outputs]).sum())
         pull = pull + np.einsum("nd,ndp->p", residual, lean)
         information = information + np.einsum("ndp,ndq->pq", design, lean)
         entropy = entropy + outputs * (2.0 * float(np.log(np.diag(chol)).sum()) + count * np.log(2.0 * np.pi))
         entropy = entropy + 2.0 * count * float(np.log(own).sum())
-    mean, _, logdet = posterior(information, pull)
+    mean, _, logdet = posterior_of_unknowns(information, pull)
     return float(-0.5 * (fit - pull @ mean + entropy + logdet))
 
 
-def posterior(information: Array, pull: Array) -> tuple[Array, Array, float]:
+def posterior_of_unknowns(information: Array, pull: Array) -> tuple[Array, Array, float]:
     """z's mean (P,), root (P,P) and log determinant of its precision, from B'C⁻¹B (P,P) and B'C⁻¹r (P,)."""
     values, vectors = np.linalg.eigh(information + np.eye(len(pull)))
     values = np.maximum(values, 1.0)
@@ -173,11 +173,11 @@ def posterior(information: Array, pull: Array) -> tuple[Array, Array, float]:
     return root @ (root.T @ pull), root, float(np.log(values).sum())
 
 
-def held_out(chol: Array, data: Rows, blocks: Array) -> tuple[Array, Array]:
+def hold_out_blocks(chol: Array, data: ResidualRows, blocks: Array) -> tuple[Array, Array]:
     """Residual (n,D) of each sample predicted without its block (n,), and its variance (n,D), noise included."""
     count, outputs = data.residual.shape
-    found, own = solved(chol, data), np.sqrt(np.broadcast_to(data.spread.share, outputs))
-    inverse = inverted(chol)
+    found, own = solve_linear_unknowns(chol, data), np.sqrt(np.broadcast_to(data.spread.share, outputs))
+    inverse = inverse_from_cholesky(chol)
     lean = (found.lean @ found.root).reshape(outputs * count, -1)
     residual, variance = np.empty((2, count, outputs))
     for label in np.unique(blocks):
@@ -204,12 +204,12 @@ class Condensed:
     pull: Array
 
 
-def condensed(base: Basis, data: Rows) -> Condensed:
+def condense_posterior(base: Basis, data: ResidualRows) -> Condensed:
     """The posterior on inducing points, with weights for r alone, as for zero z."""
     count, outputs, unknowns = data.design.shape
     own = np.sqrt(np.broadcast_to(data.spread.share, outputs))
     sides = np.concatenate([data.residual / own, (data.design / own[:, None]).reshape(count, -1)], axis=1)
-    total = sums(base, data.x, sides, data.spread)
+    total = sufficient_sums(base, data.x, sides, data.spread)
     values, vectors = np.linalg.eigh(total.outer)
     values = np.maximum(values, 0.0)
     turned, cross = vectors.T @ base.inverse, vectors.T @ total.cross[:, 1:]

@@ -7,25 +7,25 @@ import numpy as np
 
 from ...body_model import WITHOUT_URDF
 from ...errors import ModelError
-from ...kinematics.links import CameraHint, Found, Track, find
-from ...kinematics.robot import Robot, implausible
+from ...kinematics.links import CameraHint, FoundLinks, MarkerTrack, find_links
+from ...kinematics.robot import Robot, reason_implausible
 from ...runtime.blas_threads import one_thread
 from ...settings import Settings
 from ...sources import group_of
 from ...types import Features, Finding
 from .. import exploration_report
 from ..gp.model import GP
-from ..learning import Learned
+from ..learning import LearnedBody
 from ..senses import encoder_function
 from .adjusting import Resting, Surroundings, adjust_calibration, recorded_logs
-from .lengths import stretched
+from .lengths import find_stretched_link
 from .model import KinematicGP
 from .move_findings import move_findings
 from .moves import Move, find_moves
 from .placements import KEPT, kept_calibration
-from .residuals import RESIDUAL, Together, models, residual, together
-from .scores import findings, gain, scores, zeros
-from .sightings import Sightings, gathered
+from .residuals import RESIDUAL, Together, forward_models, fit_residual_kernel, solve_together
+from .scores import kinematic_findings, kinematics_gain_nats, kinematic_scores, zero_scores
+from .sightings import ThingSightings, gather_sightings
 
 UNFIT = 0.1
 """Largest residual share of a track's motion with the right robot; a real NAO's is 0.03."""
@@ -47,7 +47,7 @@ class Robotics:
 
 
 @one_thread("scipy.linalg")
-def learn(features: Sequence[Features], settings: Settings, found: Learned, given: Robotics) -> Learned:
+def learn_kinematics(features: Sequence[Features], settings: Settings, found: LearnedBody, given: Robotics) -> LearnedBody:
     """Return the body with kinematics as its tracks' mean, or unchanged with a remark if the URDF does not fit.
 
     ModelError where a requested URDF contains no joint that moved.
@@ -57,42 +57,42 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
     if len(missing) == len(names) and given.asked:
         have = ", ".join(list(robot.by_name)[:12])
         raise ModelError(f"{robot.source}: none of the joints that moved ({', '.join(names)}) is in it; it has {have}")
-    why = f"joint {missing[0]!r} moved and is not in it" if missing else implausible(robot)
+    why = f"joint {missing[0]!r} moved and is not in it" if missing else reason_implausible(robot)
     if why:
-        return unused(found, why)
+        return leave_urdf_unused(found, why)
     tracks = {name: gp for name, gp in found.model.senses.items() if isinstance(gp, GP) and name != "encoders"}
     order = sorted(tracks, key=lambda name: (name in found.poor, name))
-    parts = gathered(features, order, found.joints, settings.fit.every, settings.fit.samples)
+    parts = gather_sightings(features, order, found.joints, settings.fit.every, settings.fit.samples)
     poor = {name for name, one in parts.items() if not any(t in tracks and t not in found.poor for t in one.tracks)}
-    held, left_out = still(features, names), dict[str, str]()
+    held, left_out = still_joint_angles(features, names), dict[str, str]()
     for _ in range(len(parts)):
-        seen = {name: track(name, one) for name, one in parts.items()}
-        links = find(robot, names, held, seen, given.hints, given.doubt, given.scale)
+        seen = {name: track_of_sightings(name, one) for name, one in parts.items()}
+        links = find_links(robot, names, held, seen, given.hints, given.doubt, given.scale)
         links, moves = find_moves(links, parts, found.joints, settings.fit.seed)
-        if any(unexplained(links, parts)) and len({log for one in parts.values() for log in one.whole.log}) > 1:
+        if any(find_unexplained_tracks(links, parts)) and len({log for one in parts.values() for log in one.whole.log}) > 1:
             links = _linked_by_one_log(given, names, held, parts)
             links, moves = find_moves(links, parts, found.joints, settings.fit.seed)
-        whys = dict(unexplained(links, parts))
+        whys = dict(find_unexplained_tracks(links, parts))
         foreign = {name: why for name, why in whys.items() if name in poor}
         if not foreign or len(foreign) == len(parts):
             break
         left_out |= foreign
         parts = {name: part for name, part in parts.items() if name not in foreign}
     if whys:
-        return unused(found, next(iter(whys.values())))
+        return leave_urdf_unused(found, next(iter(whys.values())))
     beside = Surroundings(recorded_logs(features), Resting(robot, held, given.doubt))
-    return learned(_without(found, left_out), links, parts, tracks, settings.fit.seed, beside, moves)
+    return learn_residuals(_drop_unexplained_tracks(found, left_out), links, parts, tracks, settings.fit.seed, beside, moves)
 
 
 def _linked_by_one_log(
-    given: Robotics, names: Sequence[str], held: Mapping[str, float], parts: Mapping[str, Sightings]
-) -> Found:
+    given: Robotics, names: Sequence[str], held: Mapping[str, float], parts: Mapping[str, ThingSightings]
+) -> FoundLinks:
     """Links as the log with most images shows them: what moved between logs is on no link, seen in all at once."""
     numbers = np.concatenate([one.whole.log for one in parts.values()])
     log = int(np.argmax(np.bincount(numbers)))
     alone = {name: one.rows(np.flatnonzero(one.whole.log == log)) for name, one in parts.items()}
-    first = {name: track(name, one) for name, one in alone.items() if len(one.whole.x)}
-    found = find(given.robot, names, held, first, given.hints, given.doubt, given.scale)
+    first = {name: track_of_sightings(name, one) for name, one in alone.items() if len(one.whole.x)}
+    found = find_links(given.robot, names, held, first, given.hints, given.doubt, given.scale)
     rig = found.calibrated.rig
     hints = dict(given.hints)
     carried = dict[str, str]()
@@ -100,11 +100,11 @@ def _linked_by_one_log(
         hint = hints.get(one.camera, CameraHint())
         hints[one.camera] = hint if hint.link else replace(hint, link=rig.cameras[sight.camera].link)
         carried[one.marker] = rig.carriers[sight.carrier].link
-    seen = {name: track(name, one) for name, one in parts.items()}
-    return find(given.robot, names, held, seen, hints, given.doubt, given.scale, carried)
+    seen = {name: track_of_sightings(name, one) for name, one in parts.items()}
+    return find_links(given.robot, names, held, seen, hints, given.doubt, given.scale, carried)
 
 
-def _without(found: Learned, left_out: Mapping[str, str]) -> Learned:
+def _drop_unexplained_tracks(found: LearnedBody, left_out: Mapping[str, str]) -> LearnedBody:
     """Drop tracks that neither kinematics nor a process explains."""
     if not left_out:
         return found
@@ -113,13 +113,13 @@ def _without(found: Learned, left_out: Mapping[str, str]) -> Learned:
     return replace(found, model=replace(found.model, senses=senses), findings=(*found.findings, *findings))
 
 
-def track(name: str, shown: Sightings) -> Track:
+def track_of_sightings(name: str, shown: ThingSightings) -> MarkerTrack:
     """A thing's sightings, by its camera and marker."""
     camera, _, marker = name.rpartition("/")
-    return Track(camera, marker, shown.sighted, shown.points)
+    return MarkerTrack(camera, marker, shown.sighted, shown.points)
 
 
-def still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float]:
+def still_joint_angles(features: Sequence[Features], names: Sequence[str]) -> dict[str, float]:
     """The median angle, rad, of joints with readings that are not among the names."""
     found: dict[str, float] = {}
     joint_series = (encoder_function.with_true_angles(one, None).joints for one in features)
@@ -130,13 +130,13 @@ def still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float
     return found
 
 
-def unused(found: Learned, why: str, advice: str = "give this robot's own with --urdf") -> Learned:
+def leave_urdf_unused(found: LearnedBody, why: str, advice: str = "give this robot's own with --urdf") -> LearnedBody:
     """Return the body without a URDF, with a remark on why."""
     text = f"the URDF is not used: {why}; {advice}, {WITHOUT_URDF}"
     return replace(found, findings=(*found.findings, Finding("warning", text)))
 
 
-def unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple[str, str]]:
+def find_unexplained_tracks(links: FoundLinks, parts: Mapping[str, ThingSightings]) -> Iterator[tuple[str, str]]:
     """Yield tracks with too large residuals of kinematics, and how large."""
     calibrated = links.calibrated
     for (name, one), sight, weight in zip(parts.items(), calibrated.rig.sights, calibrated.weights, strict=True):
@@ -146,10 +146,10 @@ def unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple[
             yield name, f"{ends} its residual for {name} is {left:.1f} px, the motion {spread:.0f} px"
 
 
-def learned(
-    found: Learned, links: Found, shown: Mapping[str, Sightings], plain: Mapping[str, GP], seed: int,
+def learn_residuals(
+    found: LearnedBody, links: FoundLinks, shown: Mapping[str, ThingSightings], plain: Mapping[str, GP], seed: int,
     beside: Surroundings, moves: Sequence[Move] = (),
-) -> Learned:  # fmt: skip
+) -> LearnedBody:  # fmt: skip
     """Learn the residuals with calibrated links; return the body unchanged, with a remark, if they do not fit.
 
     moves: of cameras and markers between logs. The body holds where they were in the last log.
@@ -157,58 +157,58 @@ def learned(
     calibrated = links.calibrated
     rig, theta, weights = calibrated.rig, calibrated.theta, calibrated.weights
     each = enumerate(shown.items())
-    parts = {name: residual(rig, k, theta, one, weights[k], found.joints, seed) for k, (name, one) in each}
+    parts = {name: fit_residual_kernel(rig, k, theta, one, weights[k], found.joints, seed) for k, (name, one) in each}
     for k, part in enumerate(parts.values()):
-        off = stretched(rig, k, theta, part, RESIDUAL)
+        off = find_stretched_link(rig, k, theta, part, RESIDUAL)
         if off is not None and off.wrong:
-            return unused(found, off.text)
-    both = together(rig, theta, parts)
-    gains = {name: gain(rig, k, both, name, one, plain, found.joints) for k, (name, one) in enumerate(shown.items())}
+            return leave_urdf_unused(found, off.text)
+    both = solve_together(rig, theta, parts)
+    gains = {name: kinematics_gain_nats(rig, k, both, name, one, plain, found.joints) for k, (name, one) in enumerate(shown.items())}
     worst = min(gains, key=lambda name: gains[name])
     if gains[worst] < 0.0:
-        return unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")
+        return leave_urdf_unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")
     covariance = rig.prior[1] * (both.root @ both.root.T) * rig.prior[1][:, None]
     calibration, adjusted = adjust_calibration(links, shown, beside, both.theta, covariance)
     offsets = (*calibration.zeros, *calibration.scales)
-    senses = {name: models(rig, k, both, name) for k, name in enumerate(both.parts)}
-    all_scores = [*(s for name, of in senses.items() for s in scores(name, of, both.parts[name])), *zeros(offsets)]
-    found = _apart(found, {track for one in shown.values() if len(one.points) > 1 for track in one.tracks})
-    found = _with(found, senses, both)
+    senses = {name: forward_models(rig, k, both, name) for k, name in enumerate(both.parts)}
+    all_scores = [*(s for name, of in senses.items() for s in kinematic_scores(name, of, both.parts[name])), *zero_scores(offsets)]
+    found = _remove_tracks(found, {track for one in shown.values() if len(one.points) > 1 for track in one.tracks})
+    found = _with_residual_models(found, senses, both)
     centres = [one.points.mean(axis=0) for one in shown.values()]
     movements = [*move_findings(adjusted.rig, adjusted.theta, adjusted.covariance, moves, centres)]
     provenance = {**found.model.provenance, KEPT: kept_calibration(calibration)}
     found = replace(found, model=replace(found.model, provenance=provenance))
     observed = {track: model for of in senses.values() for track, model in of.items()}
-    reported = exploration_report.scores(found.joints, observed, found.model.noise)
+    reported = exploration_report.exploration_scores(found.joints, observed, found.model.noise)
     kept = {score.name: score for score in (*found.scores, *reported, *all_scores)}
     groups = {group_of(track) for track in observed}
     rest = {n: gp for n, gp in plain.items() if n in found.model.senses and group_of(n) not in groups}
     return replace(
         found,
         scores=tuple(kept.values()),
-        findings=(*found.findings, *movements, *findings(links, offsets, gains)),
+        findings=(*found.findings, *movements, *kinematic_findings(links, offsets, gains)),
         faint=tuple(exploration_report.faint_findings(found.joints, {**rest, **observed}, found.model.noise)),
     )
 
 
-def _apart(found: Learned, tracks: set[str]) -> Learned:
+def _remove_tracks(found: LearnedBody, tracks: set[str]) -> LearnedBody:
     """Remove all results for single tracks of a board."""
     model = found.model
     senses = {name: one for name, one in model.senses.items() if name not in tracks}
     noise = {name: one for name, one in model.noise.senses.items() if name not in tracks}
     errors = {name: one for name, one in model.noise.std_error.items() if name not in tracks}
     model = replace(model, senses=senses, noise=replace(model.noise, senses=noise, std_error=errors))
-    scores = [one for one in found.scores if not _of(one.name, tracks)]
+    scores = [one for one in found.scores if not _belongs_to_tracks(one.name, tracks)]
     findings = [one for one in found.findings if one.text.partition(":")[0] not in tracks]
     return replace(found, model=model, scores=tuple(scores), findings=tuple(findings))
 
 
-def _of(name: str, tracks: set[str]) -> bool:
+def _belongs_to_tracks(name: str, tracks: set[str]) -> bool:
     """Whether a score's name belongs to one of the tracks."""
     return any(f"/{track}/" in f"{name}/" for track in tracks)
 
 
-def _with(found: Learned, things: Mapping[str, Mapping[str, KinematicGP]], both: Together) -> Learned:
+def _with_residual_models(found: LearnedBody, things: Mapping[str, Mapping[str, KinematicGP]], both: Together) -> LearnedBody:
     """The body with these senses and their noise."""
     noise = found.model.noise
     variances, errors = dict(noise.senses), dict(noise.std_error)

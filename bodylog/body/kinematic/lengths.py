@@ -8,11 +8,11 @@ import numpy as np
 
 from ...kinematics.rig import Rig
 from ...types import Array
-from ..data.subsampling import spaced
-from ..gp.marginal_likelihood import Prior, cholesky
-from ..gp.model import se
-from .explicit import SEARCHED, search, solved, thinned
-from .residuals import Part
+from ..data.subsampling import choose_spaced_rows
+from ..gp.marginal_likelihood import Prior, cholesky_with_jitter
+from ..gp.model import se_kernel
+from .explicit import SEARCHED, search_residual_kernel, solve_linear_unknowns, thin_rows
+from .residuals import ResidualPart
 
 DOUBT = 0.05
 """Prior std of a link's relative stretch in a wrong URDF."""
@@ -50,28 +50,28 @@ class Stretch:
         return f"{link} is {size} {way} than in the URDF, relative to the others"
 
 
-def stretched(rig: Rig, index: int, theta: Array, learned: Part, prior: Prior) -> Stretch | None:
+def find_stretched_link(rig: Rig, index: int, theta: Array, learned: ResidualPart, prior: Prior) -> Stretch | None:
     """The link with the largest stretch, where stretched links win the evidence; else None."""
-    rows = spaced(len(learned.rows.x), SEARCHED)
-    long, spread = _doubt(rig, index)
+    rows = choose_spaced_rows(len(learned.rows.x), SEARCHED)
+    long, spread = _stretch_by_unknowns(rig, index)
     if spread is None:
         return None
     seen = rig.see(rig.sights[index], theta, learned.view.q, learned.view.log)
     stretch = learned.view.of(seen.stretch)[rows]
-    part, kernel = thinned(learned.rows, SEARCHED), learned.kernel
+    part, kernel = thin_rows(learned.rows, SEARCHED), learned.kernel
     extended = replace(part, design=np.concatenate([part.design, stretch[..., long] @ spread], axis=2))
     z = part.x / kernel.scales
-    before = solved(cholesky(se(z, z, kernel.amplitude), part.spread, kernel.noise), part).evidence
-    kernel = search(extended, prior, 0)
+    before = solve_linear_unknowns(cholesky_with_jitter(se_kernel(z, z, kernel.amplitude), part.spread, kernel.noise), part).evidence
+    kernel = search_residual_kernel(extended, prior, 0)
     z = part.x / kernel.scales
-    found = solved(cholesky(se(z, z, kernel.amplitude), part.spread, kernel.noise), extended)
+    found = solve_linear_unknowns(cholesky_with_jitter(se_kernel(z, z, kernel.amplitude), part.spread, kernel.noise), extended)
     if found.evidence < before + np.log(part.residual.size):
         return None
     extra = slice(part.design.shape[2], None)
-    return _worst(rig, index, long, spread @ found.mean[extra], spread @ found.root[extra])
+    return _largest_stretch(rig, index, long, spread @ found.mean[extra], spread @ found.root[extra])
 
 
-def _doubt(rig: Rig, index: int) -> tuple[Array, Array | None]:
+def _stretch_by_unknowns(rig: Rig, index: int) -> tuple[Array, Array | None]:
     """Which steps have a length, and the stretch of each by the unknowns (count + 1): each apart, and all alike."""
     long = np.linalg.norm(rig.sights[index].chain.fixed[1:-1, :3, 3], axis=1) > 1e-3
     count = int(long.sum())
@@ -80,7 +80,7 @@ def _doubt(rig: Rig, index: int) -> tuple[Array, Array | None]:
     return long, DOUBT * np.column_stack([np.eye(count) - 1.0 / count, np.ones(count)])
 
 
-def _worst(rig: Rig, index: int, long: Array, share: Array, root: Array) -> Stretch:
+def _largest_stretch(rig: Rig, index: int, long: Array, share: Array, root: Array) -> Stretch:
     """The link with the largest stretch, or all links alike if that is significant; share (K,) ± root rootᵀ."""
     weight = np.linalg.solve(root @ root.T, np.ones(len(share)))
     weight /= weight.sum()
@@ -89,10 +89,10 @@ def _worst(rig: Rig, index: int, long: Array, share: Array, root: Array) -> Stre
         return uniform
     share, root = share - weight @ share, root - weight @ root
     worst = int(np.argmax(np.abs(share)))
-    return Stretch(*_names(rig, index, long)[worst], float(share[worst]), float(np.linalg.norm(root[worst])))
+    return Stretch(*_joints_beside_links(rig, index, long)[worst], float(share[worst]), float(np.linalg.norm(root[worst])))
 
 
-def _names(rig: Rig, index: int, long: Array) -> Sequence[tuple[str, str]]:
+def _joints_beside_links(rig: Rig, index: int, long: Array) -> Sequence[tuple[str, str]]:
     """The joints before and after each link with a length."""
     chain = rig.sights[index].chain
     steps = [chain.joints[c] for c in chain.column]

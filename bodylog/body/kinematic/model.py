@@ -8,11 +8,11 @@ import numpy as np
 
 from ...body_model import UNUSED_URDF, BodyModel
 from ...errors import ModelError
-from ...kinematics.instant import Instant, instant
+from ...kinematics.instant import Instant, compile_predictor
 from ...kinematics.pose import Base
-from ...kinematics.rig import Rig, Seen
+from ...kinematics.rig import Rig, RigPrediction
 from ...types import Array
-from ..gp.model import GP, se
+from ..gp.model import GP, se_kernel
 
 _ROWS = 2048
 _STEP = 1e-4
@@ -108,7 +108,7 @@ class KinematicGP(GP):
 
     @cached_property
     def _instant(self) -> Instant:
-        return instant(self.rig, self.theta)
+        return compile_predictor(self.rig, self.theta)
 
     @cached_property
     def _rows(self) -> Array:
@@ -116,17 +116,17 @@ class KinematicGP(GP):
         leaning = self.lean.reshape(-1, self.lean.shape[2]) * self.amplitude[0]
         return np.asfortranarray(np.concatenate([self._singles[0].rows, leaning]))
 
-    def _seen(self, x: Array) -> Seen:
+    def _seen(self, x: Array) -> RigPrediction:
         return self.rig.see(self.rig.sights[0], self.theta, x)
 
-    def _unknown(self, x: Array, seen: Seen) -> Array:
+    def _unknown(self, x: Array, seen: RigPrediction) -> Array:
         """Effect (N,D,p), px, of one standard deviation of each direction of θ, given the samples."""
         scales = self.scales[0]
-        kernel = se(x / scales, self.centres / scales, self.amplitude[0])
+        kernel = se_kernel(x / scales, self.centres / scales, self.amplitude[0])
         return np.asarray(seen.design[:, 0] @ self.root - np.einsum("nk,dpk->ndp", kernel, self.lean))
 
 
-def comparable(body: BodyModel) -> bool:
+def can_show_changes(body: BodyModel) -> bool:
     """Whether a body can show changes: it was learned with a URDF, and its encoders read angles."""
     return "encoders" not in body.senses and any(isinstance(s, KinematicGP) for s in body.senses.values())
 

@@ -4,7 +4,7 @@ from ...body_model import BodyModel
 from ...runtime.blas_threads import one_thread
 from ...types import Features
 from .change import FEWEST, pose_problem
-from .change_system import share_off
+from .change_system import outlier_share
 
 
 @one_thread("scipy.linalg")
@@ -17,4 +17,4 @@ def moved_share_off(features: Features, body: BodyModel) -> float:
     if problem is None or sum(len(kept) for kept in problem.kept) < FEWEST:
         return 1.0
     things = [part for part in problem.parts if part.kind != "joint"]
-    return min(share_off(problem, parts) for parts in (things, *([one] for one in things)))
+    return min(outlier_share(problem, parts) for parts in (things, *([one] for one in things)))

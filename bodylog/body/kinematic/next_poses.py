@@ -42,7 +42,7 @@ class Proposal:
     std_px: Array
 
 
-def propose(body: BodyModel, count: int, candidates: Array) -> Proposal:
+def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal:
     """The best of some postures (K,M) to record, chosen greedily by the error they leave over all of them.
 
     Predictions are Gaussian together, through θ. The worth of a posture is how much its sighting lowers their variance,
@@ -50,31 +50,31 @@ def propose(body: BodyModel, count: int, candidates: Array) -> Proposal:
     whose directions matter unequally. EvidenceError where too few are visible.
     """
     senses = kinematic_senses(body, CALIBRATION)
-    shown = [visible(body, sense, candidates) for sense in senses.values()]
+    shown = [is_surely_visible(body, sense, candidates) for sense in senses.values()]
     seen = np.flatnonzero(np.any(shown, axis=0))
     if len(seen) < count:
         raise EvidenceError(f"only {len(seen)} of {len(candidates)} postures would be seen, {count} are needed")
     seen = seen[np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_VISIBLE)).round().astype(int))]
     there = np.array(shown)[:, seen]
-    covariance, noise = _predicted(body, senses, candidates[seen], there)
+    covariance, noise = _predict_all_tracks(body, senses, candidates[seen], there)
     known = np.repeat(there.T, len(_AXES), axis=1).reshape(-1)
     nats = list[float]()
-    left = [_std(covariance, known)]
+    left = [_rms_std_of_visible(covariance, known)]
     chosen = list[int]()
     for _ in range(count):
         best, gained = _most_useful(covariance, noise, there, chosen)
-        rows = _rows_of(best, len(noise[0]))
+        rows = _posture_rows(best, len(noise[0]))
         inner = covariance[np.ix_(rows, rows)] + np.diag(noise[best])
         covariance = covariance - covariance[:, rows] @ np.linalg.solve(inner, covariance[rows])
         chosen.append(best)
         nats.append(gained)
-        left.append(_std(covariance, known))
+        left.append(_rms_std_of_visible(covariance, known))
     rig = next(iter(senses.values())).rig
     sliding = tuple(rig.slides(m) for m in range(len(body.joints)))
     return Proposal(body.joints, sliding, candidates[seen[chosen]], np.array(nats), np.array(left))
 
 
-def _predicted(body: BodyModel, senses: Mapping[str, KinematicGP], x: Array, there: Array) -> tuple[Array, Array]:
+def _predict_all_tracks(body: BodyModel, senses: Mapping[str, KinematicGP], x: Array, there: Array) -> tuple[Array, Array]:
     """Covariance (KR,KR) px² of the predictions of all tracks at x (K,M) by θ, posture by posture, and noise (K,R) px².
 
     R: u and v of each track, without covariance where it is not there (S,K). The residual process counts as noise: six
@@ -100,7 +100,7 @@ def _most_useful(covariance: Array, noise: Array, there: Array, taken: list[int]
     for k in np.flatnonzero(there.any(axis=0)).tolist():
         if k in taken:
             continue
-        rows = _rows_of(k, noise.shape[1])
+        rows = _posture_rows(k, noise.shape[1])
         columns = covariance[:, rows]
         inner = columns[rows] + np.diag(noise[k])
         worth = float(np.trace(np.linalg.solve(inner, columns.T @ columns)))
@@ -111,11 +111,11 @@ def _most_useful(covariance: Array, noise: Array, there: Array, taken: list[int]
     return best, nats
 
 
-def _rows_of(posture: int, width: int) -> Array:
+def _posture_rows(posture: int, width: int) -> Array:
     return np.arange(posture * width, (posture + 1) * width)
 
 
-def _std(covariance: Array, known: Array) -> float:
+def _rms_std_of_visible(covariance: Array, known: Array) -> float:
     """Root mean square std, px, of the predictions that are of visible tracks."""
     return float(np.sqrt(max(float(np.diag(covariance)[known].mean()), 0.0)))
 
@@ -133,7 +133,7 @@ def random_postures(body: BodyModel, limits: Mapping[str, Limits]) -> Array:
     return np.random.default_rng(_SEED).uniform(low, high, (CANDIDATES, len(low)))
 
 
-def visible(body: BodyModel, sense: KinematicGP, postures: Array) -> Array:
+def is_surely_visible(body: BodyModel, sense: KinematicGP, postures: Array) -> Array:
     """Whether a track would surely be in the image and about as far as before: (K,) bool of postures (K,M).
 
     Its predicted place is a share _EDGE of the width from the edges, which is two standard deviations at least.
@@ -144,13 +144,13 @@ def visible(body: BodyModel, sense: KinematicGP, postures: Array) -> Array:
     edge = _EDGE * width
     inside = ((image > edge) & (image < np.array([width, height]) - edge)).all(axis=1)
     inside &= (variance < np.square(0.5 * edge)).all(axis=1)
-    depth = _depth(sense, postures)
-    learned = _depth(sense, sense.samples)
+    depth = _depth_before_camera(sense, postures)
+    learned = _depth_before_camera(sense, sense.samples)
     near = depth > _NEAREST * max(float(learned.min()), 0.0)
     return np.asarray(inside & near & (depth < _FARTHEST * float(learned.max())))
 
 
-def _depth(sense: KinematicGP, postures: Array) -> Array:
+def _depth_before_camera(sense: KinematicGP, postures: Array) -> Array:
     """Depth (K,) m of a track before its camera."""
     rig = sense.rig
     sight = rig.sights[0]

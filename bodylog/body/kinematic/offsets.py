@@ -4,20 +4,20 @@ from typing import Any
 
 from ...body_model import BodyModel
 from ...kinematics.identifiability import Offset
-from .placements import calibration
+from .placements import calibration_of_body
 
 
-def learned(model: BodyModel) -> tuple[Offset, ...]:
+def learned_zeros(model: BodyModel) -> tuple[Offset, ...]:
     """Each joint's zero, which all tracks share. ModelError without a URDF's chain."""
-    return calibration(model).zeros
+    return calibration_of_body(model).zeros
 
 
-def scaled(model: BodyModel) -> tuple[Offset, ...]:
+def learned_scales(model: BodyModel) -> tuple[Offset, ...]:
     """Each joint's scale; empty where scales are fixed. ModelError without a URDF's chain."""
-    return calibration(model).scales
+    return calibration_of_body(model).scales
 
 
-def plain(found: "tuple[Offset, ...]") -> dict[str, dict[str, Any]]:
+def offsets_as_values(found: "tuple[Offset, ...]") -> dict[str, dict[str, Any]]:
     """As plain values: {joint: value (None where it is not identifiable), std, unit, identifiable, confused with}."""
     return {
         one.joint: {
@@ -31,6 +31,6 @@ def plain(found: "tuple[Offset, ...]") -> dict[str, dict[str, Any]]:
     }
 
 
-def tables(found: "tuple[Offset, ...]", scales: "tuple[Offset, ...]") -> dict[str, dict[str, dict[str, Any]]]:
+def offset_tables(found: "tuple[Offset, ...]", scales: "tuple[Offset, ...]") -> dict[str, dict[str, dict[str, Any]]]:
     """As plain values: {"offsets": {joint: …}}, and "scales" if there are any."""
-    return {"offsets": plain(found)} | ({"scales": plain(scales)} if scales else {})
+    return {"offsets": offsets_as_values(found)} | ({"scales": offsets_as_values(scales)} if scales else {})

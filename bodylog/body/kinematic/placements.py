@@ -12,7 +12,7 @@ from ...kinematics import identifiability
 from ...kinematics.adjustment import Adjusted
 from ...kinematics.identifiability import Offset
 from ...kinematics.rig import Rig
-from ...kinematics.rotations import inverse, logarithm
+from ...kinematics.rotations import invert_transform, vector_from_rotation
 from ...logs.tables.frame_columns import frame_of
 from ...types import Array, Finding
 from .model import kinematic_senses
@@ -111,7 +111,7 @@ CALIBRATION = "a calibration"
 """What a body without a URDF lacks."""
 
 
-def calibration(model: BodyModel) -> Calibration:
+def calibration_of_body(model: BodyModel) -> Calibration:
     """The calibration of a body; ModelError where it was learned without a URDF, or before calibrations were kept."""
     if model.surface is not None:
         return _of_surface(model.surface)
@@ -125,7 +125,7 @@ def calibration(model: BodyModel) -> Calibration:
         tuple(placement_from(one) for one in kept[part]) for part in ("cameras", "markers", "earlier")
     )
     lenses = tuple(_lens_from(one) for one in kept["lenses"])
-    findings = [*map(_without_row_time, cameras), *_findings(cameras, markers, (*zeros, *scales))]
+    findings = [*map(_without_row_time, cameras), *_unidentified_findings(cameras, markers, (*zeros, *scales))]
     if not zeros:
         findings.append(_without_zeros(model.joints))
     sizes = {name: (int(size[0]), int(size[1])) for name, size in model.provenance.get(IMAGE_SIZES, {}).items()}
@@ -135,8 +135,8 @@ def calibration(model: BodyModel) -> Calibration:
 def calibration_of(found: Adjusted) -> Calibration:
     """The calibration of an adjustment; poses and lenses hold with the zeros as given."""
     known = (
-        *identifiability.offsets(found.rig, found.theta, found.covariance),
-        *identifiability.scales(found.rig, found.theta, found.covariance),
+        *identifiability.joint_zeros(found.rig, found.theta, found.covariance),
+        *identifiability.joint_scales(found.rig, found.theta, found.covariance),
     )
     whole, spread = _given_zeros(found.rig, found.theta, found.covariance, known, found.curvature)
     given = replace(found, theta=whole, covariance=spread)
@@ -145,9 +145,9 @@ def calibration_of(found: Adjusted) -> Calibration:
         rig, used = given.rig.alone(k)
         camera, marker = rig.cameras[0].name, rig.carriers[0].name
         theta, covariance = given.theta[used], given.covariance[np.ix_(used, used)]
-        cameras.setdefault(camera, _camera(rig, theta, covariance))
-        lenses.setdefault(camera, _lens(rig, theta, covariance))
-        markers.setdefault(marker, _marker(rig, theta, covariance))
+        cameras.setdefault(camera, _camera_placement(rig, theta, covariance))
+        lenses.setdefault(camera, _lens_with_std(rig, theta, covariance))
+        markers.setdefault(marker, _marker_placement(rig, theta, covariance))
     estimated = [one for one in known if one.beforehand > identifiability.GIVEN]
     return Calibration(
         tuple(cameras.values()),
@@ -162,7 +162,7 @@ def calibration_of(found: Adjusted) -> Calibration:
 
 
 def kept_calibration(found: Calibration) -> dict[str, Any]:
-    """A calibration as plain values for a body's provenance; `calibration` reads them."""
+    """A calibration as plain values for a body's provenance; `calibration_of_body` reads them."""
     return {
         "cameras": [one.plain for one in found.cameras],
         "lenses": [{name: getattr(one, name).tolist() for name in LENS_PARTS} for one in found.lenses],
@@ -195,7 +195,7 @@ def _earlier_placements(given: Adjusted) -> Iterator[Placement]:
                 told.add((camera, index))
                 sub, used = rig.alone(k, log)
                 theta, spread = given.theta[used], given.covariance[np.ix_(used, used)]
-                placed = _camera(sub, theta, spread) if camera else _marker(sub, theta, spread)
+                placed = _camera_placement(sub, theta, spread) if camera else _marker_placement(sub, theta, spread)
                 logs = [number + 1 for number, other in enumerate(sight.by_log) if other[not camera] == index]
                 when = f"log {logs[0]}" if len(logs) == 1 else f"logs {logs[0]} to {logs[-1]}"
                 yield replace(placed, name=f"{placed.name} in {when}")
@@ -210,13 +210,13 @@ def _of_surface(surface: Surface) -> Calibration:
     for camera in surface.cameras:
         rig = landmark_model(surface, camera).rig
         theta, spread = camera.unknowns[:-1], camera.covariance[:-1, :-1]
-        every_zero = identifiability.offsets(rig, theta, spread)
+        every_zero = identifiability.joint_zeros(rig, theta, spread)
         zeros = zeros or tuple(one for one in every_zero if one.beforehand > identifiability.GIVEN)
         given, held = _given_zeros(rig, theta, spread, every_zero)
-        cameras.append(_camera(rig, given, held))
+        cameras.append(_camera_placement(rig, given, held))
         row, row_std = float(camera.unknowns[-1]), float(np.sqrt(camera.covariance[-1, -1]))
-        lenses.append(replace(_lens(rig, given, held), row_time=row, row_time_std=row_std))
-    findings = tuple(_findings(cameras, (), zeros))
+        lenses.append(replace(_lens_with_std(rig, given, held), row_time=row, row_time_std=row_std))
+    findings = tuple(_unidentified_findings(cameras, (), zeros))
     sizes = {placed.name: camera.size for placed, camera in zip(cameras, surface.cameras, strict=True)}
     return Calibration(tuple(cameras), tuple(lenses), (), zeros, (), findings, sizes)
 
@@ -252,21 +252,21 @@ def _given_zeros(
     return theta + std * (along[:, rows] @ step), (scaled - scaled[:, held] @ gain) * std * std[:, None]
 
 
-def _camera(rig: Rig, theta: Array, covariance: Array) -> Placement:
+def _camera_placement(rig: Rig, theta: Array, covariance: Array) -> Placement:
     """The camera's optical frame in its link: x to the right of the image, y down, z forward."""
     part = rig.of_camera(0)
-    return _placement(rig, theta, covariance, slice(part.start, part.start + _POSE), camera=True)
+    return _placement_on_link(rig, theta, covariance, slice(part.start, part.start + _POSE), camera=True)
 
 
-def _marker(rig: Rig, theta: Array, covariance: Array) -> Placement:
-    return _placement(rig, theta, covariance, rig.of_carrier(0), camera=False)
+def _marker_placement(rig: Rig, theta: Array, covariance: Array) -> Placement:
+    return _placement_on_link(rig, theta, covariance, rig.of_carrier(0), camera=False)
 
 
-def _placement(rig: Rig, theta: Array, covariance: Array, part: slice, camera: bool) -> Placement:
+def _placement_on_link(rig: Rig, theta: Array, covariance: Array, part: slice, camera: bool) -> Placement:
     """A thing's pose on its link, with the covariance of θ (P,P) propagated by central differences."""
 
     def pose(at: Array) -> Array:
-        return inverse(rig.camera_pose(0, at)) if camera else rig.carrier_pose(0, at)
+        return invert_transform(rig.camera_pose(0, at)) if camera else rig.carrier_pose(0, at)
 
     slopes = np.zeros((_POSE, part.stop - part.start))
     for k, index in enumerate(range(part.start, part.stop)):
@@ -274,7 +274,7 @@ def _placement(rig: Rig, theta: Array, covariance: Array, part: slice, camera: b
         step[index] = _STEP
         above, below = pose(theta + step), pose(theta - step)
         slopes[:3, k] = (above[:3, 3] - below[:3, 3]) / (2.0 * _STEP)
-        slopes[3:, k] = logarithm(above[:3, :3] @ below[:3, :3].T) / (2.0 * _STEP)
+        slopes[3:, k] = vector_from_rotation(above[:3, :3] @ below[:3, :3].T) / (2.0 * _STEP)
     variance = np.einsum("ij,jk,ik->i", slopes, covariance[part, part], slopes)
     std = np.sqrt(np.maximum(variance, 0.0))
     thing = rig.cameras[0] if camera else rig.carriers[0]
@@ -282,7 +282,7 @@ def _placement(rig: Rig, theta: Array, covariance: Array, part: slice, camera: b
     return Placement(thing.name, thing.link, pose(theta), std[:3], std[3:], turns)
 
 
-def _lens(rig: Rig, theta: Array, covariance: Array) -> Lens:
+def _lens_with_std(rig: Rig, theta: Array, covariance: Array) -> Lens:
     part = rig.of_camera(0)
     begin = part.start + _POSE
     numbers = theta[begin : part.stop]
@@ -295,12 +295,12 @@ def _lens(rig: Rig, theta: Array, covariance: Array) -> Lens:
     return Lens(focal, focal_std, numbers[2:4], std[2:4], numbers[4:], std[4:])
 
 
-def _findings(cameras: Sequence[Placement], markers: Sequence[Placement], zeros: Sequence[Offset]) -> Iterator[Finding]:
+def _unidentified_findings(cameras: Sequence[Placement], markers: Sequence[Placement], zeros: Sequence[Offset]) -> Iterator[Finding]:
     """Yield a sentence for each thing that is not identifiable."""
     for one in (*cameras, *markers):
         if not one.identifiable:
             place = f"its place on {one.link} is known to {1e3 * one.place_std.max():.0f} mm"
             turn = f", its turn to {np.degrees(one.turn_std.max()):.0f}°" if one.turns else ""
             yield Finding("warning", f"{one.name}: not identifiable: {place}{turn} alone")
-    for text in identifiability.unidentified(zeros):
+    for text in identifiability.describe_unidentified(zeros):
         yield Finding("info", f"{text}; the poses hold with it at 0")

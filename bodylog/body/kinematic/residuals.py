@@ -6,17 +6,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...kinematics.identifiability import GIVEN
-from ...kinematics.rig import Rig, Seen
+from ...kinematics.rig import Rig, RigPrediction
 from ...types import Array
-from ..data.pairs import Joint, Pairs, coupled
-from ..gp.fit import Coupling, Samples, lifted
-from ..gp.inducing import basis, inducing
-from ..gp.marginal_likelihood import Hyper, Prior, Spread, cholesky
-from ..gp.model import GP, se, shortened
-from .explicit import Condensed, Rows, condensed, posterior, search
-from .lasting import lasting
+from ..data.pairs import SmoothedJoint, Pairs, correlate_angle_errors
+from ..gp.fit import Coupling, Samples, propagate_input_noise
+from ..gp.inducing import build_basis, choose_inducing_points
+from ..gp.marginal_likelihood import Hyper, Prior, Spread, cholesky_with_jitter
+from ..gp.model import GP, se_kernel, drop_negligible_rows
+from .explicit import Condensed, ResidualRows, condense_posterior, posterior_of_unknowns, search_residual_kernel
+from .lasting import fit_slow_error
 from .model import KinematicGP
-from .sightings import Sightings, View, alone, groups, singles, sound, viewed
+from .sightings import ThingSightings, PointMeans, sightings_of_point, group_points, most_seen_points, sound_sightings, average_points
 
 MOST = 500
 """Most sightings of a track for a residual: kinematics explains most, and the cost is O(n³)."""
@@ -30,7 +30,7 @@ _SETTLED = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ResidualPart:
     """One thing: rows kept, coupling of their angles, kernel, variance (px²) of a slow error, rows about θ.
 
     own: variance (px²) of one point about the mean of its part of a board · tracks, points: the tracks that become
@@ -41,8 +41,8 @@ class Part:
     known: Coupling
     kernel: Hyper
     drift: float
-    rows: Rows
-    view: View
+    rows: ResidualRows
+    view: PointMeans
     own: float
     tracks: Mapping[str, Pairs]
     points: Mapping[str, int]
@@ -51,7 +51,7 @@ class Part:
     def chol(self) -> Array:
         """Factor (n,n) of kernel and noise."""
         z = self.rows.x / self.kernel.scales
-        return cholesky(se(z, z, self.kernel.amplitude), self.rows.spread, self.kernel.noise)
+        return cholesky_with_jitter(se_kernel(z, z, self.kernel.amplitude), self.rows.spread, self.kernel.noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,24 +60,24 @@ class Together:
 
     theta: Array
     root: Array
-    parts: Mapping[str, Part]
+    parts: Mapping[str, ResidualPart]
     condensed: Mapping[str, Condensed]
 
 
-def residual(
-    rig: Rig, index: int, theta: Array, shown: Sightings, weight: Array, chosen: Sequence[Joint], seed: int
-) -> Part:
+def fit_residual_kernel(
+    rig: Rig, index: int, theta: Array, shown: ThingSightings, weight: Array, chosen: Sequence[SmoothedJoint], seed: int
+) -> ResidualPart:
     """Kernel of the residuals of kinematics near theta; sightings with small weight (N,C), or too many, left out."""
-    counts = sound(weight)
+    counts = sound_sightings(weight)
     seen = rig.see(rig.sights[index], theta, shown.whole.x, shown.whole.log)
-    view, kept, own = viewed(shown, counts, shown.image - seen.image, groups(shown.points), MOST)
-    known = coupled(kept, chosen)
-    rows = about(rig, theta, kept, seen, view, spread_of(kept, view.of(seen.slope), known))
-    kernel, rows, drift = lasting(kept.t, search(rows, RESIDUAL, seed), rows)
+    view, kept, own = average_points(shown, counts, shown.image - seen.image, group_points(shown.points), MOST)
+    known = correlate_angle_errors(kept, chosen)
+    rows = linearise_residuals(rig, theta, kept, seen, view, spread_of(kept, view.of(seen.slope), known))
+    kernel, rows, drift = fit_slow_error(kept.t, search_residual_kernel(rows, RESIDUAL, seed), rows)
     current = counts & in_last_placement(rig, index, shown.whole.log)[:, None]
-    points = {shown.tracks[k]: k for k in singles(shown) if current[:, k].any()}
-    tracks = {track: alone(shown, k, current) for track, k in points.items()}
-    return Part(kept, known, kernel, drift, rows, view, own, tracks, points)
+    points = {shown.tracks[k]: k for k in most_seen_points(shown) if current[:, k].any()}
+    tracks = {track: sightings_of_point(shown, k, current) for track, k in points.items()}
+    return ResidualPart(kept, known, kernel, drift, rows, view, own, tracks, points)
 
 
 def in_last_placement(rig: Rig, index: int, log: Array) -> Array:
@@ -87,11 +87,11 @@ def in_last_placement(rig: Rig, index: int, log: Array) -> Array:
     return np.array([(one.camera, one.carrier) == (sight.camera, sight.carrier) for one in placed], bool)
 
 
-def about(rig: Rig, theta: Array, part: Pairs, seen: Seen, view: View, spread: Spread) -> Rows:
+def linearise_residuals(rig: Rig, theta: Array, part: Pairs, seen: RigPrediction, view: PointMeans, spread: Spread) -> ResidualRows:
     """Residuals about θ (P,), with z = 0 at the prior's mean."""
     mean, std = rig.prior
     design = view.of(seen.design) * std
-    return Rows(view.x, part.y - view.of(seen.image) - design @ ((mean - theta) / std), design, spread)
+    return ResidualRows(view.x, part.y - view.of(seen.image) - design @ ((mean - theta) / std), design, spread)
 
 
 def spread_of(part: Pairs, slope: Array, known: Coupling) -> Spread:
@@ -102,21 +102,21 @@ def spread_of(part: Pairs, slope: Array, known: Coupling) -> Spread:
             return part.y, slope
 
     data = Samples(part.x, part.y, part.floor, part.variance, known)
-    return lifted(data, Slopes(), (slice(0, part.y.shape[1]),))[0]  # type: ignore[arg-type]
+    return propagate_input_noise(data, Slopes(), (slice(0, part.y.shape[1]),))[0]  # type: ignore[arg-type]
 
 
-def together(rig: Rig, theta: Array, parts: Mapping[str, Part]) -> Together:
+def solve_together(rig: Rig, theta: Array, parts: Mapping[str, ResidualPart]) -> Together:
     """θ given all tracks' residuals, by Gauss-Newton from a near start, and the residuals' posteriors there.
 
     Each joint's periodic error (`with_periodic_errors`) is marginalised, so that θ's covariance contains it.
     """
     mean, std = rig.prior
-    bases = {name: basis(part.kernel, _centres(part)) for name, part in parts.items()}
+    bases = {name: build_basis(part.kernel, _choose_inducing_centres(part)) for name, part in parts.items()}
     for _ in range(_ROUNDS):
-        rows = [with_periodic_errors(rig, _about(rig, k, theta, part), part) for k, part in enumerate(parts.values())]
-        found = [condensed(bases[name], one) for name, one in zip(parts, rows, strict=True)]
+        rows = [with_periodic_errors(rig, _relinearise_residuals(rig, k, theta, part), part) for k, part in enumerate(parts.values())]
+        found = [condense_posterior(bases[name], one) for name, one in zip(parts, rows, strict=True)]
         information = np.sum([one.information for one in found], axis=0)
-        z, root, _ = posterior(information, np.sum([one.pull for one in found], axis=0))
+        z, root, _ = posterior_of_unknowns(information, np.sum([one.pull for one in found], axis=0))
         spread = root[: len(theta)] @ root[: len(theta)].T
         step = mean + std * z[: len(theta)] - theta
         theta = theta + step
@@ -125,14 +125,14 @@ def together(rig: Rig, theta: Array, parts: Mapping[str, Part]) -> Together:
     values, vectors = np.linalg.eigh(spread)
     there, solved = {}, {}
     for k, (name, part) in enumerate(parts.items()):
-        there[name] = replace(part, rows=_about(rig, k, theta, part))
+        there[name] = replace(part, rows=_relinearise_residuals(rig, k, theta, part))
         known = there[name].rows
         left = known.residual + known.design @ ((mean - theta) / std)
-        solved[name] = condensed(bases[name], replace(known, residual=left))
+        solved[name] = condense_posterior(bases[name], replace(known, residual=left))
     return Together(theta, vectors * np.sqrt(np.maximum(values, 0.0)), there, solved)
 
 
-def with_periodic_errors(rig: Rig, rows: Rows, part: Part) -> Rows:
+def with_periodic_errors(rig: Rig, rows: ResidualRows, part: ResidualPart) -> ResidualRows:
     """Rows with two more unknowns for each joint that turns: a and b of its error a cos q + b sin q, PERIODIC_STD_RAD.
 
     Over a small range of angles such an error looks like a zero, however many images there are: what a zero means
@@ -146,28 +146,28 @@ def with_periodic_errors(rig: Rig, rows: Rows, part: Part) -> Rows:
     return replace(rows, design=design)
 
 
-def _centres(part: Part) -> Array:
-    return inducing([part.kernel], part.rows.x, float(part.rows.spread.diagonal.min()) + part.kernel.noise)
+def _choose_inducing_centres(part: ResidualPart) -> Array:
+    return choose_inducing_points([part.kernel], part.rows.x, float(part.rows.spread.diagonal.min()) + part.kernel.noise)
 
 
-def _about(rig: Rig, index: int, theta: Array, part: Part) -> Rows:
+def _relinearise_residuals(rig: Rig, index: int, theta: Array, part: ResidualPart) -> ResidualRows:
     """The rows of a thing about another θ, with the same noise."""
     seen = rig.see(rig.sights[index], theta, part.view.q, part.view.log)
-    return about(rig, theta, part.pairs, seen, part.view, part.rows.spread)
+    return linearise_residuals(rig, theta, part.pairs, seen, part.view, part.rows.spread)
 
 
-def models(rig: Rig, index: int, found: Together, name: str) -> dict[str, KinematicGP]:
+def forward_models(rig: Rig, index: int, found: Together, name: str) -> dict[str, KinematicGP]:
     """The forward model of each track of a thing; they share θ and the residual process, evaluated at each point."""
     part, solved = found.parts[name], found.condensed[name]
     sub, used = rig.alone(index)
     share = np.broadcast_to(part.rows.spread.share, part.pairs.y.shape[1])
     root = (rig.prior[1][:, None] * found.root)[used]
     lean = np.einsum("dpm,pk->dkm", solved.lean, found.root)
-    centres, made = _centres(part), {}
+    centres, made = _choose_inducing_centres(part), {}
     for track, seen in part.tracks.items():
         point = part.points[track]
-        near = _near(part, centres, point)
-        plain = shortened(_process(part, centres, near, solved, share, seen))
+        near = _kernel_to_point(part, centres, point)
+        plain = drop_negligible_rows(_residual_process_at_point(part, centres, near, solved, share, seen))
         sight = replace(sub.sights[0], points=sub.sights[0].points[[point]])
         one = replace(sub, sights=(sight,))
         made[track] = KinematicGP.on(
@@ -176,14 +176,14 @@ def models(rig: Rig, index: int, found: Together, name: str) -> dict[str, Kinema
     return made
 
 
-def _near(part: Part, centres: Array, point: int) -> Array:
+def _kernel_to_point(part: ResidualPart, centres: Array, point: int) -> Array:
     """Kernel factor (n,) between each centre (n,M+2) and a point of the board."""
     joints = part.view.q.shape[1]
     apart = (centres[:, joints:] - part.view.where[point]) / part.kernel.scales[joints:]
     return np.asarray(np.exp(-0.5 * np.square(apart).sum(axis=1)))
 
 
-def _process(part: Part, centres: Array, near: Array, solved: Condensed, share: Array, seen: Pairs) -> GP:
+def _residual_process_at_point(part: ResidualPart, centres: Array, near: Array, solved: Condensed, share: Array, seen: Pairs) -> GP:
     """The residual process at one point, over the joints alone, with centres weighted by `near` (n,)."""
     joints = part.view.q.shape[1]
     spread = np.outer(np.maximum(part.rows.spread.diagonal - part.drift, 0.0), share)

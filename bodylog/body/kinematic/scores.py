@@ -5,22 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...kinematics.identifiability import Offset, unidentified
-from ...kinematics.links import Found
+from ...kinematics.identifiability import Offset, describe_unidentified
+from ...kinematics.links import FoundLinks
 from ...kinematics.rig import Rig
 from ...types import Finding, Score
-from ..data.pairs import Joint, Pairs, coupled
+from ..data.pairs import SmoothedJoint, Pairs, correlate_angle_errors
 from ..gp.fit import Coupling
-from ..gp.marginal_likelihood import Hyper, condition
+from ..gp.marginal_likelihood import Hyper, condition_gp
 from ..gp.model import GP
-from .explicit import held_out, solved
+from .explicit import hold_out_blocks, solve_linear_unknowns
 from .model import KinematicGP
-from .residuals import MOST, Part, Together, about, spread_of
-from .sightings import Sightings, viewed
+from .residuals import MOST, ResidualPart, Together, linearise_residuals, spread_of
+from .sightings import ThingSightings, average_points
 
 
-def gain(
-    rig: Rig, index: int, found: Together, name: str, shown: Sightings, plain: Mapping[str, GP], chosen: Sequence[Joint]
+def kinematics_gain_nats(
+    rig: Rig, index: int, found: Together, name: str, shown: ThingSightings, plain: Mapping[str, GP], chosen: Sequence[SmoothedJoint]
 ) -> float:
     """Nats won by kinematics over a Gaussian process alone, on the same sightings.
 
@@ -28,34 +28,34 @@ def gain(
     """
     part, alone = found.parts[name], 0.0
     if len(shown.points) == 1:
-        return solved(part.chol, part.rows).evidence - _alone(plain[name], part.pairs, part.known)
+        return solve_linear_unknowns(part.chol, part.rows).evidence - _evidence_of_gp_alone(plain[name], part.pairs, part.known)
     points = [point for track, point in part.points.items() if track in plain]
-    view, kept, _ = viewed(shown, shown.seen, shown.image, np.eye(len(shown.points), dtype=bool)[points], MOST)
+    view, kept, _ = average_points(shown, shown.seen, shown.image, np.eye(len(shown.points), dtype=bool)[points], MOST)
     seen = rig.see(rig.sights[index], found.theta, shown.whole.x, shown.whole.log)
-    spread = spread_of(kept, view.of(seen.slope), coupled(kept, chosen))
-    rows = about(rig, found.theta, kept, seen, view, spread)
+    spread = spread_of(kept, view.of(seen.slope), correlate_angle_errors(kept, chosen))
+    rows = linearise_residuals(rig, found.theta, kept, seen, view, spread)
     own = max(part.own - float(np.nanmean(shown.floor)), 0.0)
     both = replace(part, pairs=kept, view=view, rows=rows, kernel=replace(part.kernel, noise=part.kernel.noise + own))
     for point in points:
         mine = kept.rows(np.flatnonzero(view.share[:, point]))
-        alone += _alone(plain[shown.tracks[point]], mine, coupled(mine, chosen))
-    return solved(both.chol, rows).evidence - alone
+        alone += _evidence_of_gp_alone(plain[shown.tracks[point]], mine, correlate_angle_errors(mine, chosen))
+    return solve_linear_unknowns(both.chol, rows).evidence - alone
 
 
-def _alone(plain: GP, part: Pairs, known: Coupling) -> float:
+def _evidence_of_gp_alone(plain: GP, part: Pairs, known: Coupling) -> float:
     """Evidence (nats) of sightings by a Gaussian process alone."""
     kernel = Hyper(plain.scales[0], float(plain.amplitude[0]), float(plain.noise.mean()))
     spread = spread_of(part, plain.means(part.x)[1], known)
     own = np.sqrt(np.broadcast_to(spread.share, part.y.shape[1]))
-    return condition(kernel, part.x, part.y / own, spread).evidence - len(part.x) * float(np.log(own).sum())
+    return condition_gp(kernel, part.x, part.y / own, spread).evidence - len(part.x) * float(np.log(own).sum())
 
 
-def scores(name: str, models: Mapping[str, KinematicGP], part: Part) -> Iterator[Score]:
+def kinematic_scores(name: str, models: Mapping[str, KinematicGP], part: ResidualPart) -> Iterator[Score]:
     """Yield one thing's held-out error, residual of kinematics alone, slow error, noise and length scales.
 
     For a board, the held-out value is the mean of the points of each of its parts.
     """
-    residual, variance = held_out(part.chol, part.rows, part.pairs.block)
+    residual, variance = hold_out_blocks(part.chol, part.rows, part.pairs.block)
     left = np.concatenate([one.y - models[track].kinematics(one.x) for track, one in part.tracks.items()])
     any_ = next(iter(models.values()))
     yield Score(f"rmse/held_out/{name}", float(np.sqrt(np.mean(residual**2))), "px")
@@ -70,7 +70,7 @@ def scores(name: str, models: Mapping[str, KinematicGP], part: Part) -> Iterator
         yield Score(f"length_scale/{name}/{joint}", float(scale), "rad")
 
 
-def zeros(found: Sequence[Offset]) -> Iterator[Score]:
+def zero_scores(found: Sequence[Offset]) -> Iterator[Score]:
     """Yield identifiable zeros (rad or m) and scales (1), and their standard deviations."""
     for one in found:
         if one.identifiable:
@@ -79,7 +79,7 @@ def zeros(found: Sequence[Offset]) -> Iterator[Score]:
             yield Score(f"std/{name}/{one.joint}", one.std, one.unit)
 
 
-def findings(links: Found, found: Sequence[Offset], gains: Mapping[str, float]) -> Iterator[Finding]:
+def kinematic_findings(links: FoundLinks, found: Sequence[Offset], gains: Mapping[str, float]) -> Iterator[Finding]:
     """Yield remarks on links chosen, nats won, significant zeros, and zeros that are not identifiable."""
     rig = links.calibrated.rig
     sure = "" if links.margin is None else f" ({links.margin:.0f} nats likelier than other links)"
@@ -94,5 +94,5 @@ def findings(links: Found, found: Sequence[Offset], gains: Mapping[str, float]) 
     for one in found:
         if one.identifiable and abs(one.value) > 2.0 * one.std:
             yield Finding("info", f"{one.joint}: its {one.noun} is off by {one.shown}")
-    for text in unidentified(found):
+    for text in describe_unidentified(found):
         yield Finding("info", text)

@@ -7,8 +7,8 @@ import numpy as np
 
 from ...kinematics.calibration import Sighted
 from ...types import Array, Features, Series
-from ..data.pairs import Joint, Pairs, pairs
-from ..data.subsampling import farthest
+from ..data.pairs import SmoothedJoint, Pairs, pair_sightings
+from ..data.subsampling import choose_farthest_rows
 
 GROUPS = 4
 """Most parts of a board; points of a part are averaged, since their errors are correlated."""
@@ -23,7 +23,7 @@ _POINT = np.zeros((1, 3))
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class ThingSightings:
     """N images: angles and times, `whole`, with y the points' mean, px · image (N,C,2) px, floor (N,C,2) px².
 
     NaN where a point was not seen · points (C,3) m on the thing · tracks: the points' tracks, in order.
@@ -35,7 +35,7 @@ class Sightings:
     points: Array
     tracks: tuple[str, ...]
 
-    def rows(self, chosen: Array) -> "Sightings":
+    def rows(self, chosen: Array) -> "ThingSightings":
         """Return some images."""
         return replace(self, whole=self.whole.rows(chosen), image=self.image[chosen], floor=self.floor[chosen])
 
@@ -51,7 +51,7 @@ class Sightings:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class PointMeans:
     """Rows that are means of some points of one image: picture (n,) of N · share (n,C) of each point.
 
     q (N,M) rad or m · log (N,) of each image · where (C,2): the points on their board, in REACH of its diagonal; (C,0)
@@ -77,24 +77,24 @@ class View:
         return np.asarray((self.share[:, None] @ flat[self.picture])[:, 0].reshape(-1, *values.shape[2:]))
 
 
-def gathered(
-    features: Sequence[Features], tracks: Sequence[str], joints: Sequence[Joint], every: int, most: int
-) -> dict[str, Sightings]:
+def gather_sightings(
+    features: Sequence[Features], tracks: Sequence[str], joints: Sequence[SmoothedJoint], every: int, most: int
+) -> dict[str, ThingSightings]:
     """Collect sightings by name, of boards with FEWEST points or more and of other tracks; at most `most` of each."""
-    found, taken = dict[str, Sightings](), set[str]()
-    for name, points in _boards(features).items():
+    found, taken = dict[str, ThingSightings](), set[str]()
+    for name, points in _points_by_board(features).items():
         taken |= set(points)
-        if (board := _board(features, name, points, joints, every)) is not None:
+        if (board := _board_sightings(features, name, points, joints, every)) is not None:
             found[name] = board
     for track in tracks:
         if track not in taken:
-            part = pairs(features, track, joints, every)
-            found[track] = Sightings(part, part.y[:, None], part.floor[:, None], _POINT, (track,))
+            part = pair_sightings(features, track, joints, every)
+            found[track] = ThingSightings(part, part.y[:, None], part.floor[:, None], _POINT, (track,))
     least = {name: min(most, PICTURES) if len(one.points) > 1 else most for name, one in found.items()}
-    return {name: one.rows(farthest(one.whole.x, least[name])) for name, one in found.items()}
+    return {name: one.rows(choose_farthest_rows(one.whole.x, least[name])) for name, one in found.items()}
 
 
-def _boards(features: Sequence[Features]) -> dict[str, dict[str, Array]]:
+def _points_by_board(features: Sequence[Features]) -> dict[str, dict[str, Array]]:
     """The points of each board by track, over all logs."""
     found: dict[str, dict[str, Array]] = {}
     for name, (tracks, points) in (item for one in features for item in one.boards.items()):
@@ -102,15 +102,15 @@ def _boards(features: Sequence[Features]) -> dict[str, dict[str, Array]]:
     return {name: points for name, points in found.items() if len(points) >= FEWEST}
 
 
-def _board(
-    features: Sequence[Features], name: str, points: Mapping[str, Array], joints: Sequence[Joint], every: int
-) -> Sightings | None:
-    shown = [_images(one, list(points)) for one in features]
+def _board_sightings(
+    features: Sequence[Features], name: str, points: Mapping[str, Array], joints: Sequence[SmoothedJoint], every: int
+) -> ThingSightings | None:
+    shown = [_images_of_board(one, list(points)) for one in features]
     middles = [
-        replace(one, tracks={name: Series(t, _middle(image), ("u", "v"), "px", (t * 1e9).astype(np.int64))})
+        replace(one, tracks={name: Series(t, _mean_of_points(image), ("u", "v"), "px", (t * 1e9).astype(np.int64))})
         for one, (t, image, _) in zip(features, shown, strict=True)
     ]
-    whole = pairs(middles, name, joints, every)
+    whole = pair_sightings(middles, name, joints, every)
     if not len(whole.x):
         return None
     image, floor = np.full((2, len(whole.x), len(points), 2), np.nan)
@@ -118,10 +118,10 @@ def _board(
         mine = np.flatnonzero(whole.log == log)
         at = np.searchsorted(t, whole.t[mine])
         image[mine], floor[mine] = places[at], variance[at]
-    return Sightings(whole, image, floor, np.array(list(points.values())), tuple(points))
+    return ThingSightings(whole, image, floor, np.array(list(points.values())), tuple(points))
 
 
-def _images(found: Features, names: Sequence[str]) -> tuple[Array, Array, Array]:
+def _images_of_board(found: Features, names: Sequence[str]) -> tuple[Array, Array, Array]:
     """Times (N,) s of all images that show one of these tracks, positions (N,C,2) px, and their variance."""
     tracks = [(k, found.tracks[name]) for k, name in enumerate(names) if name in found.tracks]
     seen = [(k, one, np.isfinite(one.values).all(axis=1)) for k, one in tracks]
@@ -134,19 +134,19 @@ def _images(found: Features, names: Sequence[str]) -> tuple[Array, Array, Array]
     return t, image, floor
 
 
-def _middle(image: Array) -> Array:
+def _mean_of_points(image: Array) -> Array:
     """The mean (N,2) of the points seen."""
     return np.asarray(np.nanmean(image, axis=1)) if len(image) else np.zeros((0, 2))
 
 
-def groups(points: Array) -> Array:
+def group_points(points: Array) -> Array:
     """Assignment (G,C), bool, of points (C,3) to at most GROUPS parts."""
-    seeds = points[farthest(points, GROUPS)]
+    seeds = points[choose_farthest_rows(points, GROUPS)]
     nearest = np.argmin(np.square(points[:, None] - seeds).sum(axis=-1), axis=1)
     return np.asarray(nearest == np.arange(len(seeds))[:, None])
 
 
-def _where(points: Array) -> Array:
+def _board_coordinates(points: Array) -> Array:
     """Points (C,3) m as (C,2) along a board's two longest axes, in REACH of its diagonal; (C,0) of a single one."""
     if len(points) == 1:
         return np.zeros((1, 0))
@@ -154,18 +154,18 @@ def _where(points: Array) -> Array:
     return np.asarray(apart @ np.linalg.svd(apart)[2][:2].T / (REACH * np.linalg.norm(np.ptp(points, axis=0))))
 
 
-def viewed(shown: Sightings, sound: Array, residual: Array, parts: Array, most: int) -> tuple[View, Pairs, float]:
+def average_points(shown: ThingSightings, sound: Array, residual: Array, parts: Array, most: int) -> tuple[PointMeans, Pairs, float]:
     """Means of the points in each part (G,C), at most `most` rows, and the variance of one point about them, px².
 
     sound (N,C): points in use · residual (N,C,2) px. Where parts are single points that variance is 0.
     """
     kept = np.flatnonzero((sound[:, None] & parts).any(axis=(1, 2)))
-    kept = kept[farthest(shown.whole.x[kept], max(most // len(parts), 1))]
+    kept = kept[choose_farthest_rows(shown.whole.x[kept], max(most // len(parts), 1))]
     member = sound[kept][:, None] & parts
     at, part = np.nonzero(member.any(axis=-1))
     picture, own = kept[at], member[at, part]
     count = own.sum(axis=1)
-    view = View(shown.whole.x, shown.whole.log, _where(shown.points), picture, own / count[:, None])
+    view = PointMeans(shown.whole.x, shown.whole.log, _board_coordinates(shown.points), picture, own / count[:, None])
     image, floor, left = (np.nan_to_num(values) for values in (shown.image, shown.floor, residual))
     within = np.square(np.where(own[..., None], left[picture] - view.of(left)[:, None], 0.0)).sum()
     alone = float(within / max(2 * (own.sum() - len(own)), 1))
@@ -174,19 +174,19 @@ def viewed(shown: Sightings, sound: Array, residual: Array, parts: Array, most: 
     return view, replace(shown.whole.rows(picture), y=view.of(image), floor=variance), alone
 
 
-def sound(weight: Array) -> Array:
+def sound_sightings(weight: Array) -> Array:
     """Which sightings count, by their weights (N,C)."""
     return np.asarray(weight > _SOUND)
 
 
-def alone(shown: Sightings, point: int, counts: Array) -> Pairs:
+def sightings_of_point(shown: ThingSightings, point: int, counts: Array) -> Pairs:
     """The sightings of one point, where counts (N,C) is true."""
     rows = np.flatnonzero(counts[:, point])
     return replace(shown.whole.rows(rows), y=shown.image[rows, point], floor=shown.floor[rows, point])
 
 
-def singles(shown: Sightings) -> list[int]:
+def most_seen_points(shown: ThingSightings) -> list[int]:
     """The point of each part that was seen most often, the outermost of equals."""
     far = np.linalg.norm(shown.points - shown.points.mean(axis=0), axis=1)
     worth = shown.seen.sum(axis=0) + far / (2.0 * max(float(far.max()), 1e-12))
-    return [int(np.argmax(np.where(part, worth, -1.0))) for part in groups(shown.points)]
+    return [int(np.argmax(np.where(part, worth, -1.0))) for part in group_points(shown.points)]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...kinematics.chain import Chain
 from ...kinematics.pose import Base
-from ...kinematics.rig import Camera, Carrier, Rig, Sight
+from ...kinematics.rig import RigCamera, Carrier, Rig, Sight
 from ...types import Array
 from ..gp.model import GP
 from .model import KinematicGP
@@ -36,16 +36,16 @@ _THINGS = ("marker", "camera")
 _NAMES = ("camera", "camera_link", "marker", "marker_link", "sight", "start", "end")
 
 
-def arrays(model: KinematicGP) -> dict[str, Array]:
+def kinematic_arrays(model: KinematicGP) -> dict[str, Array]:
     """The arrays of SHAPES, of a model with one camera, marker and sight."""
     rig, sight = model.rig, model.rig.sights[0]
     chain, base = sight.chain, model.base
     carried = (
-        {} if base is None else {"base": base.chain.fixed, "base_steps": _steps(base.chain), "base_tool": base.tool}
+        {} if base is None else {"base": base.chain.fixed, "base_steps": _chain_step_array(base.chain), "base_tool": base.tool}
     )
     return carried | {
         "chain": chain.fixed,
-        "steps": _steps(chain),
+        "steps": _chain_step_array(chain),
         "camera": rig.cameras[0].anchor,
         "marker": rig.carriers[0].anchor,
         "lens": rig.cameras[0].lens,
@@ -58,7 +58,7 @@ def arrays(model: KinematicGP) -> dict[str, Array]:
     }
 
 
-def names(model: KinematicGP) -> dict[str, str]:
+def kinematic_names(model: KinematicGP) -> dict[str, str]:
     """The names in a model."""
     rig, sight = model.rig, model.rig.sights[0]
     camera, marker = rig.cameras[0], rig.carriers[0]
@@ -71,30 +71,30 @@ def names(model: KinematicGP) -> dict[str, str]:
     return dict(zip(_NAMES, values, strict=True)) | carried | scaled
 
 
-def _steps(chain: Chain) -> Array:
+def _chain_step_array(chain: Chain) -> Array:
     return np.column_stack([chain.column, chain.scale, chain.zero, chain.slides])
 
 
-def shapes(header: Mapping[str, Any]) -> dict[str, str]:
+def kinematic_shapes(header: Mapping[str, Any]) -> dict[str, str]:
     """The arrays of a model with these names, and their shapes."""
     return SHAPES | (BASE if _BASE_NAMES[0] in header else {})
 
 
-def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[str, Any]) -> KinematicGP:
+def build_kinematic_gp(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[str, Any]) -> KinematicGP:
     """Build a model from a residual process, arrays as SHAPES and names; ValueError for inconsistent fields."""
     steps, doubt, count = found["steps"], found["doubt"], len(joints)
     own = 2 * count if _SCALED in header else count
     for field in ("chain", "camera", "marker"):
         insist_rigid(found[field], field)
     for field, most in (("theta", _LARGEST), ("lens", _LARGEST), ("points", _FARTHEST)):
-        insist((np.abs(found[field]) <= most).all(), field, float(np.abs(found[field]).max()), f"at most {most:g}")
+        insist_sound((np.abs(found[field]) <= most).all(), field, float(np.abs(found[field]).max()), f"at most {most:g}")
     turns = len(doubt) == 18 + own
-    insist(turns or len(doubt) == 15 + own, "doubt", len(doubt), f"{15 + own} or {18 + own} numbers")
-    insist((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
-    chain = _chain(header["start"], header["end"], joints, found["chain"], steps, "steps")
+    insist_sound(turns or len(doubt) == 15 + own, "doubt", len(doubt), f"{15 + own} or {18 + own} numbers")
+    insist_sound((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
+    chain = _build_chain(header["start"], header["end"], joints, found["chain"], steps, "steps")
     end = 18 if turns else 15
     rig = Rig(
-        (Camera(header["camera"], header["camera_link"], found["camera"], found["lens"], doubt[:12]),),
+        (RigCamera(header["camera"], header["camera_link"], found["camera"], found["lens"], doubt[:12]),),
         (Carrier(header["marker"], header["marker_link"], found["marker"], doubt[12:end]),),
         (Sight(header["sight"], 0, 0, chain, found["points"]),),
         joints,
@@ -102,32 +102,32 @@ def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], header
         doubt[end + count :],
     )
     model = KinematicGP.on(plain, rig, found["theta"], found["root"], found["lean"], found["drift"])
-    return replace(model, base=_base(joints, found, header))
+    return replace(model, base=_build_base(joints, found, header))
 
 
-def _chain(start: str, end: str, joints: tuple[str, ...], fixed: Array, steps: Array, field: str) -> Chain:
-    insist(len(fixed) == len(steps) + 1, field, len(steps), f"{len(fixed) - 1} steps")
+def _build_chain(start: str, end: str, joints: tuple[str, ...], fixed: Array, steps: Array, field: str) -> Chain:
+    insist_sound(len(fixed) == len(steps) + 1, field, len(steps), f"{len(fixed) - 1} steps")
     count = len(joints)
-    insist((np.abs(steps[:, 0]) <= count).all(), field, float(np.abs(steps[:, 0]).max(initial=0.0)), "joints")
+    insist_sound((np.abs(steps[:, 0]) <= count).all(), field, float(np.abs(steps[:, 0]).max(initial=0.0)), "joints")
     column, slides = steps[:, 0].astype(np.int64), steps[:, 3]
-    insist((column == steps[:, 0]).all() and (column >= 0).all() and (column < count).all(), field, column, "joints")
-    insist(np.isin(slides, (0.0, 1.0)).all(), field, slides, "0 or 1 in the last column")
+    insist_sound((column == steps[:, 0]).all() and (column >= 0).all() and (column < count).all(), field, column, "joints")
+    insist_sound(np.isin(slides, (0.0, 1.0)).all(), field, slides, "0 or 1 in the last column")
     moves = np.abs(steps[:, 1:3])
-    insist((moves <= _LARGEST).all(), field, float(moves.max(initial=0.0)), f"at most {_LARGEST:g}")
+    insist_sound((moves <= _LARGEST).all(), field, float(moves.max(initial=0.0)), f"at most {_LARGEST:g}")
     return Chain(start, end, joints, fixed, column, steps[:, 1], steps[:, 2], slides > 0)
 
 
-def _base(joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[str, Any]) -> Base | None:
+def _build_base(joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[str, Any]) -> Base | None:
     if _BASE_NAMES[0] not in header:
         return None
     start, end, link, thing = (header[name] for name in _BASE_NAMES)
     for field in ("base", "base_tool"):
         insist_rigid(found[field], field)
-    chain = _chain(start, end, joints, found["base"], found["base_steps"], "base_steps")
+    chain = _build_chain(start, end, joints, found["base"], found["base_steps"], "base_steps")
     return Base(chain, found["base_tool"], link, thing == _THINGS[1])
 
 
-def checked(header: Any) -> dict[str, str]:
+def check_kinematic_names(header: Any) -> dict[str, str]:
     """The names of a header; ValueError where one is missing."""
     if not isinstance(header, dict) or not all(isinstance(header.get(name), str) for name in _NAMES):
         raise ValueError(f"kinematics: found {str(header)[:80]}, possible: texts for {', '.join(_NAMES)}")
@@ -150,9 +150,9 @@ def insist_rigid(poses: Array, field: str) -> None:
         stretch = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
         mirrored = (np.linalg.det(turn) < 0.0).any()
     rigid = stretch <= _ROUNDING and not mirrored and (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all()
-    insist(rigid, field, "a matrix that is no pose", "a rotation and a place, above a row of 0, 0, 0, 1")
+    insist_sound(rigid, field, "a matrix that is no pose", "a rotation and a place, above a row of 0, 0, 0, 1")
     farthest = float(np.abs(place).max(initial=0.0))
-    insist(farthest <= _FARTHEST, field, f"{farthest:g} m", f"at most {_FARTHEST:g} m")
+    insist_sound(farthest <= _FARTHEST, field, f"{farthest:g} m", f"at most {_FARTHEST:g} m")
 
 
 _ROUNDING = 1e-6
@@ -163,7 +163,7 @@ _LARGEST = 1e6
 """Unknowns (m, rad, px, shares), and a step's scale and zero."""
 
 
-def insist(sound: Any, field: str, found: object, possible: str) -> None:
+def insist_sound(sound: Any, field: str, found: object, possible: str) -> None:
     """ValueError, naming the field, unless it is sound."""
     if not sound:
         raise ValueError(f"{field}: found {found}, possible: {possible}")

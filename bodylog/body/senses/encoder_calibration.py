@@ -8,7 +8,7 @@ import numpy as np
 from ...body_model import ForwardModel, Noise
 from ...errors import ConfigError, EvidenceError
 from ...types import Array, Features, Finding, Score
-from ..data.pairs import Joint
+from ..data.pairs import SmoothedJoint
 from .encoder_function import Polynomial
 
 _DEGREE, _BLOCKS, _FEWEST = 6, 10, 200
@@ -18,7 +18,7 @@ _RIDGE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Read:
+class CalibratedEncoders:
     """Encoders calibrated by a reference: their model by sense name, noise with theirs, scores, remarks."""
 
     noise: Noise
@@ -27,29 +27,29 @@ class Read:
     findings: tuple[Finding, ...] = ()
 
 
-def learned(features: Sequence[Features], chosen: Sequence[Joint], noise: Noise) -> Read:
+def learn_encoder_functions(features: Sequence[Features], chosen: Sequence[SmoothedJoint], noise: Noise) -> CalibratedEncoders:
     """Learn the encoder functions of the chosen joints from the references; nothing without a reference.
 
     ConfigError for a missing encoder. Without a model if all encoders read the angles themselves.
     """
     if not any(found.reference is not None for found in features):
-        return Read(noise)
-    curves, errors, counts = zip(*(_curve(*_readings(features, joint)) for joint in chosen), strict=True)
+        return CalibratedEncoders(noise)
+    curves, errors, counts = zip(*(_fit_polynomial(*_readings_over_truth(features, joint)) for joint in chosen), strict=True)
     variance = [max(float(error), 1e-12) for error in errors]
     sure = tuple(v * (2.0 / n) ** 0.5 for v, n in zip(variance, counts, strict=True))
     read = replace(noise, encoder=tuple(variance), std_error={**noise.std_error, "encoder": sure})
     names = tuple(joint.name for joint in chosen)
     scores = tuple(Score(f"rmse/held_out_encoders/{n}", v**0.5, "rad") for n, v in zip(names, variance, strict=True))
-    formulas = ", ".join(f"{n} {_formula(c)}" for n, c in zip(names, curves, strict=True))
+    formulas = ", ".join(f"{n} {_polynomial_text(c)}" for n, c in zip(names, curves, strict=True))
     if all(curve.tolist() == [0.0, 1.0] for curve in curves):
-        return Read(read, {}, scores, (Finding("info", "encoders: by the reference they read the angles themselves"),))
+        return CalibratedEncoders(read, {}, scores, (Finding("info", "encoders: by the reference they read the angles themselves"),))
     width = max(len(curve) for curve in curves)
     model = Polynomial(names, np.array([np.pad(curve, (0, width - len(curve))) for curve in curves]))
     finding = Finding("info", f"encoders: by the reference they read {formulas}")
-    return Read(read, {"encoders": model}, scores, (finding,))
+    return CalibratedEncoders(read, {"encoders": model}, scores, (finding,))
 
 
-def _readings(features: Sequence[Features], joint: Joint) -> tuple[Array, Array, Array]:
+def _readings_over_truth(features: Sequence[Features], joint: SmoothedJoint) -> tuple[Array, Array, Array]:
     """True angles (N,) rad, readings (N,) and blocks of time (N,) of one joint over all logs."""
     parts = []
     for log, found in enumerate(features):
@@ -68,7 +68,7 @@ def _readings(features: Sequence[Features], joint: Joint) -> tuple[Array, Array,
     return x, y, block
 
 
-def _curve(x: Array, y: Array, block: Array) -> tuple[Array, float, int]:
+def _fit_polynomial(x: Array, y: Array, block: Array) -> tuple[Array, float, int]:
     """Coefficients (K,) of the simplest polynomial near the best held-out error, that squared error, and the readings.
 
     The angle itself is the simplest. Sums over each block suffice to fit every degree without it.
@@ -90,7 +90,7 @@ def _curve(x: Array, y: Array, block: Array) -> tuple[Array, float, int]:
         c = np.linalg.solve(others, (m.sum(axis=0) - m)[:, :, None])[:, :, 0]
         held_out = [np.square(y[r] - base[r, :k] @ own).sum() for r, own in zip(rows, c, strict=True)]
         errors.append(np.array(held_out) / count)
-    chosen = _simplest(np.array(errors))
+    chosen = _simplest_degree(np.array(errors))
     error = max(float(np.average(errors[chosen], weights=count)), 0.0)
     if not chosen or high - low < _STILL:
         return np.array([0.0, 1.0]), error, len(x)
@@ -99,7 +99,7 @@ def _curve(x: Array, y: Array, block: Array) -> tuple[Array, float, int]:
     return np.asarray(Chebyshev(best, (low, high)).convert(kind=Power).coef), error, len(x)
 
 
-def _simplest(errors: Array) -> int:
+def _simplest_degree(errors: Array) -> int:
     """The first row of squared errors (rows, blocks) whose ratio to the best is 1 within a standard error.
 
     Ratios, since a block outside the others' range has large errors for every degree.
@@ -110,7 +110,7 @@ def _simplest(errors: Array) -> int:
     return int((apart.mean(axis=1) <= spread).argmax())
 
 
-def _formula(curve: Array) -> str:
+def _polynomial_text(curve: Array) -> str:
     """A polynomial as text."""
     if curve.tolist() == [0.0, 1.0]:
         return "x"

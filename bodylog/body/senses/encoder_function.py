@@ -7,7 +7,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import UsageError
-from ...settings import Estimation
+from ...settings import EstimationSettings
 from ...types import Array, Features, Series
 from ..gp.model import GP
 
@@ -43,12 +43,12 @@ def with_true_angles(found: Features, known: BodyModel | None) -> Features:
         return replace(found, joints=found.reference)
     if known is None or found.joints is None:
         return found
-    return understood(found, known, Estimation())[0]
+    return convert_readings_to_angles(found, known, EstimationSettings())[0]
 
 
-def understood(
-    found: Features, body: BodyModel, settings: Estimation, coding: bool = False
-) -> tuple[Features, BodyModel, Estimation]:
+def convert_readings_to_angles(
+    found: Features, body: BodyModel, settings: EstimationSettings, coding: bool = False
+) -> tuple[Features, BodyModel, EstimationSettings]:
     """Convert features, body and settings for a method that expects angles.
 
     With `coding`, the method uses the encoders' model itself and only its start is converted. UsageError where a
@@ -56,18 +56,18 @@ def understood(
     """
     if "encoders" not in body.senses or found.joints is None or (coding and settings.start):
         return found, body, settings
-    angles = _angles(found.joints, body)
+    angles = _angles_from_readings(found.joints, body)
     if coding:
-        return found, body, replace(settings, start=_first(angles, body.joints))
-    return replace(found, joints=angles), plain(body), settings
+        return found, body, replace(settings, start=_first_finite_angles(angles, body.joints))
+    return replace(found, joints=angles), body_for_angles(body), settings
 
 
-def plain(body: BodyModel) -> BodyModel:
+def body_for_angles(body: BodyModel) -> BodyModel:
     """The body for angles instead of readings, with the encoder noise converted."""
     if "encoders" not in body.senses:
         return body
     senses = {name: model for name, model in body.senses.items() if name != "encoders"}
-    slope = np.einsum("nmm->nm", body.senses["encoders"].predict(_explored(body))[1])
+    slope = np.einsum("nmm->nm", body.senses["encoders"].predict(_explored_angles(body))[1])
     variance = np.array(body.noise.encoder) * (slope**-2.0).mean(axis=0)
     return replace(body, senses=senses, noise=replace(body.noise, encoder=tuple(variance.tolist())))
 
@@ -79,7 +79,7 @@ def angle_reader(body: BodyModel) -> Callable[[Array], Array]:
     """
     if "encoders" not in body.senses:
         return lambda readings: readings
-    x = _explored(body)
+    x = _explored_angles(body)
     grid = np.linspace(x.min(axis=0), x.max(axis=0), _GRID)
     read = body.senses["encoders"].predict(grid)[0]
     step = np.diff(read, axis=0) * np.sign(read[-1] - read[0])
@@ -89,10 +89,10 @@ def angle_reader(body: BodyModel) -> Callable[[Array], Array]:
             f"predictive-coding, and in robot.toml [estimate] start, the angles in rad of {', '.join(body.joints)}"
         )
     columns = range(len(body.joints))
-    return lambda readings: np.stack([_inverse(readings[..., m], read[:, m], grid[:, m]) for m in columns], axis=-1)
+    return lambda readings: np.stack([_invert_curve(readings[..., m], read[:, m], grid[:, m]) for m in columns], axis=-1)
 
 
-def _angles(joints: Series, body: BodyModel) -> Series:
+def _angles_from_readings(joints: Series, body: BodyModel) -> Series:
     """The readings as angles."""
     values, known = joints.values.astype(float), [name for name in body.joints if name in joints.names]
     readings = np.full((len(values), len(body.joints)), np.nan)
@@ -102,7 +102,7 @@ def _angles(joints: Series, body: BodyModel) -> Series:
     return replace(joints, values=values)
 
 
-def _inverse(y: Array, read: Array, grid: Array) -> Array:
+def _invert_curve(y: Array, read: Array, grid: Array) -> Array:
     """Invert the monotone curve read(grid) at values y (N,), linear beyond its ends."""
     way = 1 if read[-1] > read[0] else -1
     inside = np.interp(y, read[::way], grid[::way])
@@ -112,12 +112,12 @@ def _inverse(y: Array, read: Array, grid: Array) -> Array:
     return np.asarray(inside + beyond * np.where(at_first, first, last))
 
 
-def _explored(body: BodyModel) -> Array:
+def _explored_angles(body: BodyModel) -> Array:
     """The angles (S,M) rad at which the body's tracks were learned."""
     return np.concatenate([model.samples for model in body.senses.values() if isinstance(model, GP)])
 
 
-def _first(angles: Series, names: tuple[str, ...]) -> tuple[float, ...] | None:
+def _first_finite_angles(angles: Series, names: tuple[str, ...]) -> tuple[float, ...] | None:
     """The first finite angle of each joint; None where one has none."""
     columns = [angles.values[:, angles.names.index(name)] for name in names if name in angles.names]
     found = [column[np.isfinite(column)] for column in columns]

@@ -30,7 +30,7 @@ class Felt:
         return float(np.square(self.apart).mean())
 
 
-def learned(
+def learn_touch(
     features: Sequence[Features], joints: tuple[str, ...], effector: GP | None
 ) -> tuple[TouchConstants, Cells, tuple[Finding, ...]]:
     """Constants and cells' positions from touches paired with strokes, and a remark with their numbers.
@@ -41,16 +41,16 @@ def learned(
     """
     delays = np.array([s.delay for f in features for s in f.synchrony if np.isfinite(s.delay)])
     delays = delays[np.abs(delays) < _NEAR_S]
-    felt = [] if effector is None else [one for f in features for one in _felt(f, joints, effector)]
+    felt = [] if effector is None else [one for f in features for one in _touches_with_strokes(f, joints, effector)]
     late = float(1.4826 * np.median(np.abs(delays))) if len(delays) else 0.0
-    sound = _sound(felt)
-    px = _blended(_APART_PX, len(sound), float(np.sqrt(np.mean([f.square for f in sound]))) if sound else 0.0)
+    sound = _drop_stray_touches(felt)
+    px = _pool_spread(_APART_PX, len(sound), float(np.sqrt(np.mean([f.square for f in sound]))) if sound else 0.0)
     constants = TouchConstants(1.0, 1.0 / (2.0 * px**2))
-    found = cells(sound)
-    return constants, found, _findings(len(delays), len(sound), late, px, len(found))
+    found = locate_cells(sound)
+    return constants, found, _touch_findings(len(delays), len(sound), late, px, len(found))
 
 
-def cells(felt: Sequence[Felt]) -> Cells:
+def locate_cells(felt: Sequence[Felt]) -> Cells:
     """Each touched cell's position relative to the effector (u, v) px and its spread per coordinate, px.
 
     The mean over all touches counts as one more touch of every cell, which regularises cells touched once.
@@ -60,16 +60,16 @@ def cells(felt: Sequence[Felt]) -> Cells:
     centres = np.array([f.apart.mean(axis=0) for f in felt])
     common = centres.mean(axis=0)
     about = float(np.mean([np.square(f.apart - common).mean() for f in felt]))
-    return {cell: _place([f for f in felt if f.cell == cell], common, about) for cell in sorted({f.cell for f in felt})}
+    return {cell: _place_of_cell([f for f in felt if f.cell == cell], common, about) for cell in sorted({f.cell for f in felt})}
 
 
-def _place(felt: Sequence[Felt], common: Array, about: float) -> tuple[float, float, float]:
+def _place_of_cell(felt: Sequence[Felt], common: Array, about: float) -> tuple[float, float, float]:
     place = (common + sum(f.apart.mean(axis=0) for f in felt)) / (1 + len(felt))
     square = (about + sum(np.square(f.apart - place).mean() for f in felt)) / (1 + len(felt))
     return float(place[0]), float(place[1]), float(np.sqrt(square))
 
 
-def _felt(features: Features, joints: tuple[str, ...], effector: GP) -> list[Felt]:
+def _touches_with_strokes(features: Features, joints: tuple[str, ...], effector: GP) -> list[Felt]:
     """Touches with a stroke in time, while hand and angles are known."""
     hand, angles_read = features.hand, features.joints
     if hand is None or angles_read is None or not features.touches or not set(joints) <= set(angles_read.names):
@@ -86,18 +86,18 @@ def _felt(features: Features, joints: tuple[str, ...], effector: GP) -> list[Fel
     return [one for one in found if len(one.apart)]
 
 
-def _sound(felt: Sequence[Felt]) -> list[Felt]:
+def _drop_stray_touches(felt: Sequence[Felt]) -> list[Felt]:
     """Drop stray touches, seen four times farther off than the median."""
     usual = float(np.median([f.square for f in felt])) if felt else 0.0
     return [f for f in felt if f.square <= _STRAY * usual]
 
 
-def _blended(assumed: float, count: int, found: float) -> float:
+def _pool_spread(assumed: float, count: int, found: float) -> float:
     """Spread about zero per coordinate: the prior and `count` touches pooled."""
     return float(np.sqrt((_ASSUMED * assumed**2 + count * found**2) / (_ASSUMED + count)))
 
 
-def _findings(delays: int, touches: int, late: float, px: float, places: int) -> tuple[Finding, ...]:
+def _touch_findings(delays: int, touches: int, late: float, px: float, places: int) -> tuple[Finding, ...]:
     if max(delays, touches) == 0:
         return ()
     seen = f"{touches} touches seen, spread {px:.1f} px; place of {places} cells"

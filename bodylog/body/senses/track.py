@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...body_model import Noise
-from ...settings import Fit
+from ...settings import FitSettings
 from ...types import Array, Finding, Score
-from ..data.pairs import Joint, Pairs, coupled
-from ..data.subsampling import farthest, spaced
-from ..gp.cross_validation import alone, residuals
-from ..gp.fit import Fitted, Samples, build, fitted
+from ..data.pairs import SmoothedJoint, Pairs, correlate_angle_errors
+from ..data.subsampling import choose_farthest_rows, choose_spaced_rows
+from ..gp.cross_validation import leave_one_out_deviations, held_out_residuals
+from ..gp.fit import FittedKernels, Samples, build_gp, fit_kernels
 from ..gp.marginal_likelihood import ROTATION
-from ..gp.model import GP, shortened
-from ..paper_preset import SAMPLES, paper
+from ..gp.model import GP, drop_negligible_rows
+from ..paper_preset import SAMPLES, paper_kernels
 
 _OUTPUTS = ("u", "v")
 _FALSE = 8.0
@@ -22,7 +22,7 @@ _ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Sense:
+class TrackSense:
     """The model of one track · floor (k,2) px² of new samples · residual (n,2) px held out, expected variance (n,2).
 
     constant (n,2) px: held-out residual of the median as predictor, over the same blocks · used: its n sightings.
@@ -39,25 +39,25 @@ class Sense:
     rule: str
 
 
-def sense(whole: Pairs, chosen: Sequence[Joint], fit: Fit) -> Sense:
+def learn_track(whole: Pairs, chosen: Sequence[SmoothedJoint], fit: FitSettings) -> TrackSense:
     """Learn one track by the preset of `fit`."""
     if fit.preset == "paper":
-        part = whole.rows(spaced(len(whole.x), SAMPLES))
+        part = whole.rows(choose_spaced_rows(len(whole.x), SAMPLES))
         data = Samples(part.x, part.y, np.zeros(part.y.shape))
-        return _sense(data, paper(data), part, whole, 0, "as many as the paper's")
-    part = whole.rows(farthest(whole.x, fit.samples))
+        return _sense_with_kernels(data, paper_kernels(data), part, whole, 0, "as many as the paper's")
+    part = whole.rows(choose_farthest_rows(whole.x, fit.samples))
     kept = len(part.x)
     for _ in range(_ROUNDS):
-        used, data = part, Samples(part.x, part.y, part.floor, part.variance, coupled(part, chosen))
-        kernels = fitted(data, ROTATION, True, fit.seed)
-        sound = _believable(data, kernels)
+        used, data = part, Samples(part.x, part.y, part.floor, part.variance, correlate_angle_errors(part, chosen))
+        kernels = fit_kernels(data, ROTATION, True, fit.seed)
+        sound = _believable_rows(data, kernels)
         if sound.all():
             break
         part = part.rows(np.flatnonzero(sound))
-    return _sense(data, kernels, used, whole, kept - len(data.x), "which cover the exploration best")
+    return _sense_with_kernels(data, kernels, used, whole, kept - len(data.x), "which cover the exploration best")
 
 
-def scores(name: str, found: Sense, joints: Sequence[str], noise: Noise) -> Iterator[Score]:
+def scores_of_track(name: str, found: TrackSense, joints: Sequence[str], noise: Noise) -> Iterator[Score]:
     """Yield held-out error, share of frames used, noise and length scales of one track."""
     yield Score(f"rmse/held_out/{name}", float(np.sqrt(np.mean(found.residual**2))), "px")
     yield Score(f"nis/held_out/{name}", float(np.mean(found.residual**2 / found.variance)), "1")
@@ -68,7 +68,7 @@ def scores(name: str, found: Sense, joints: Sequence[str], noise: Noise) -> Iter
         yield Score(f"length_scale/{name}/{joint}", float(scale), "rad")
 
 
-def findings(name: str, found: Sense) -> Iterator[Finding]:
+def track_findings(name: str, found: TrackSense) -> Iterator[Finding]:
     """Yield remarks on sightings left out of one track."""
     sightings, used = len(found.whole.x), len(found.gp.samples)
     if found.rejected:
@@ -79,16 +79,16 @@ def findings(name: str, found: Sense) -> Iterator[Finding]:
         yield Finding("info", f"{name}: {used + found.rejected} of {sightings} sightings kept, {found.rule}")
 
 
-def _sense(data: Samples, found: Fitted, used: Pairs, whole: Pairs, rejected: int, rule: str) -> Sense:
+def _sense_with_kernels(data: Samples, found: FittedKernels, used: Pairs, whole: Pairs, rejected: int, rule: str) -> TrackSense:
     block = used.block
-    residual, variance = residuals(data, found, block)
+    residual, variance = held_out_residuals(data, found, block)
     # samples of a body to update have negative blocks, and their floor includes more than pixel noise
     floor = data.floor[block >= 0] if (block >= 0).any() else data.floor
-    gp, constant = shortened(build(data, found, _OUTPUTS, "px")), _constant(data.y, block)
-    return Sense(gp, floor, residual, variance, constant, used, whole, rejected, rule)
+    gp, constant = drop_negligible_rows(build_gp(data, found, _OUTPUTS, "px")), _residuals_from_constant(data.y, block)
+    return TrackSense(gp, floor, residual, variance, constant, used, whole, rejected, rule)
 
 
-def _constant(y: Array, block: Array) -> Array:
+def _residuals_from_constant(y: Array, block: Array) -> Array:
     """Residuals (n,2) of positions y (n,2) from the median of all other blocks."""
     residual = np.empty(y.shape)
     for label in np.unique(block):
@@ -97,7 +97,7 @@ def _constant(y: Array, block: Array) -> Array:
     return residual
 
 
-def _believable(data: Samples, found: Fitted) -> Array:
+def _believable_rows(data: Samples, found: FittedKernels) -> Array:
     """Rows within _FALSE robust deviations; by medians, because false sightings inflate the noise."""
-    size = np.abs(alone(data, found))
+    size = np.abs(leave_one_out_deviations(data, found))
     return np.asarray((size < _FALSE * 1.4826 * np.median(size, axis=0)).all(axis=1))

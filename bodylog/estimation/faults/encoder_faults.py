@@ -13,12 +13,12 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Fault, Finding, Hypothesis
-from ..inference.reacquisition import SILENCE
+from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.records import Encoders, Evidence
-from .jumping import jumps, shifts, unwrapped
-from .repeats import Stuck, silent, stuck
+from .jumping import find_jumps, find_level_shifts, unwrap_turns
+from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings
 from .stalled import motion_nats
-from .threshold import NATS
+from .threshold import EVIDENCE_THRESHOLD_NATS
 
 
 class ReadingFault(NamedTuple):
@@ -31,7 +31,7 @@ class ReadingFault(NamedTuple):
     std: float | None = None
 
 
-class Screened(NamedTuple):
+class ScreenedEncoder(NamedTuple):
     """One encoder: readings (N,) rad without faulty stretches and jumps, its faults, and the nats won by each kind."""
 
     values: Array
@@ -39,14 +39,14 @@ class Screened(NamedTuple):
     nats: Mapping[str, float]
 
 
-def detect(evidence: Evidence, body: BodyModel) -> Evidence:
+def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
     """Remove frozen and dead stretches and glitches, undo jumps, and unwrap whole turns where encoders read angles."""
     if evidence.encoders is None:
         return evidence
     angles = "encoders" not in body.senses
     read, size = evidence.encoders, evidence.rad_per_unit
     angled = replace(read, values=size * read.values)
-    encoders = _unwrapped(angled) if angles else angled
+    encoders = _unwrap_columns(angled) if angles else angled
     turned = np.abs(encoders.values - angled.values) > 1.0
     findings = [
         Finding("info", f"encoders: {name} wraps by a whole turn at {encoders.t[own][0]:.3f} s; its angle is unwrapped")
@@ -56,92 +56,92 @@ def detect(evidence: Evidence, body: BodyModel) -> Evidence:
     complete = angles and np.isfinite(encoders.values).any(axis=0).all()
     images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
     found = {
-        name: _screened(encoders.t, y, partial(motion_nats, in_units, images, joint))
+        name: _screen_encoder(encoders.t, y, partial(motion_nats, in_units, images, joint))
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))
     }
     faults = [
-        _in_unit(fault, name, size, evidence.unit) for name, one in found.items() for fault in one.faults
+        _convert_fault_unit(fault, name, size, evidence.unit) for name, one in found.items() for fault in one.faults
     ]
     hypotheses = [
-        Hypothesis(f"encoder {kind}", name, nats, NATS, nats > NATS)
+        Hypothesis(f"encoder {kind}", name, nats, EVIDENCE_THRESHOLD_NATS, nats > EVIDENCE_THRESHOLD_NATS)
         for name, one in found.items() for kind, nats in one.nats.items()
     ]  # fmt: skip
     return replace(
         evidence,
-        encoders=_in_units(read, angled, _with_columns(encoders, [one.values for one in found.values()]), size),
+        encoders=_convert_screened_unit(read, angled, _with_columns(encoders, [one.values for one in found.values()]), size),
         faults=(*evidence.faults, *sorted(faults, key=lambda fault: fault.since)),
         findings=(*evidence.findings, *findings),
         hypotheses=(*evidence.hypotheses, *hypotheses),
     )
 
 
-def _in_unit(fault: ReadingFault, name: str, size: float, unit: str) -> Fault:
+def _convert_fault_unit(fault: ReadingFault, name: str, size: float, unit: str) -> Fault:
     """A joint's fault, with its size in readings of `size` rad a unit."""
     std = None if fault.std is None else fault.std / size
     return Fault("encoders", name, fault.kind, fault.since, fault.size / size, unit, std, until=fault.until)
 
 
-def _in_units(read: Encoders, angled: Encoders, screened: Encoders, size: float) -> Encoders:
+def _convert_screened_unit(read: Encoders, angled: Encoders, screened: Encoders, size: float) -> Encoders:
     """Screened angles (rad) as readings of `size` rad a unit; those that screening left as they were are exact."""
     same = screened.values == angled.values
     return replace(screened, values=np.where(same, read.values, screened.values / size))
 
 
-def repaired(encoders: Encoders) -> Encoders:
+def repair_readings(encoders: Encoders) -> Encoders:
     """The readings (angles) without faulty stretches and jumps."""
-    encoders = _unwrapped(encoders)
-    each = [_screened(encoders.t, y, lambda begin, end: 0.0) for y in encoders.values.T]
+    encoders = _unwrap_columns(encoders)
+    each = [_screen_encoder(encoders.t, y, lambda begin, end: 0.0) for y in encoders.values.T]
     return _with_columns(encoders, [one.values for one in each])
 
 
-def _unwrapped(encoders: Encoders) -> Encoders:
-    return _with_columns(encoders, [unwrapped(y) for y in encoders.values.T])
+def _unwrap_columns(encoders: Encoders) -> Encoders:
+    return _with_columns(encoders, [unwrap_turns(y) for y in encoders.values.T])
 
 
 def _with_columns(encoders: Encoders, columns: Sequence[Array]) -> Encoders:
     return replace(encoders, values=np.stack(columns, axis=1)) if columns else encoders
 
 
-def _screened(t: Array, y: Array, moved: Callable[[int, int], float]) -> Screened:
+def _screen_encoder(t: Array, y: Array, moved: Callable[[int, int], float]) -> ScreenedEncoder:
     """Screen one encoder's readings y (N,) rad at t (N,) s; `moved`: nats of images that it moved in [begin, end).
 
     Only jumps and glitches have a size.
     """
     if not np.isfinite(y).any():
-        return Screened(y, (), {})
+        return ScreenedEncoder(y, (), {})
     values = y.copy()
     found = list[ReadingFault]()
     nats = {"frozen": 0.0, "dead": 0.0, "jumped": 0.0}
-    for one in (silent(t, y), *stuck(t, y, moved)):
+    for one in (find_final_silence(t, y), *find_frozen_readings(t, y, moved)):
         nats[one.kind] = max(nats[one.kind], one.nats)
-        if one.nats > NATS:
-            found.append(ReadingFault(one.kind, float(t[one.begin]), _end(t, y, one)))
+        if one.nats > EVIDENCE_THRESHOLD_NATS:
+            found.append(ReadingFault(one.kind, float(t[one.begin]), _find_recovery_time(t, y, one)))
             values[one.begin : one.end] = np.nan
-    moves = shifts(t, values)
+    moves = find_level_shifts(t, values)
     nats["jumped"] = max((won for *_, won in moves), default=0.0)
-    for begin, end, size in _excursions(t, values, moves):
+    for begin, end, size in _find_excursions(t, values, moves):
         found.append(ReadingFault("glitch", float(t[begin]), float(t[end]), size))
         values[begin:end] = np.nan
-    for at, size, std in jumps(t, values):
+    for at, size, std in find_jumps(t, values):
         found.append(ReadingFault("jumping", float(t[at]), None, size, std))
         values[at:] -= size
-    return Screened(values, found, nats)
+    return ScreenedEncoder(values, found, nats)
 
 
-def _end(t: Array, y: Array, stuck: Stuck) -> float | None:
+def _find_recovery_time(t: Array, y: Array, stuck: RepeatedReadings) -> float | None:
     """When (s) an encoder that was stuck reads again; None if it never does."""
     later = np.flatnonzero(np.isfinite(y[stuck.end :]))
     return float(t[stuck.end + later[0]]) if len(later) and stuck.end > stuck.begin else None
 
 
-def _excursions(t: Array, y: Array, moves: Sequence[tuple[int, float, float]]) -> list[tuple[int, int, float]]:
+def _find_excursions(t: Array, y: Array, moves: Sequence[tuple[int, float, float]]) -> list[tuple[int, int, float]]:
     """Short stretches [begin, end) of readings y (N,) before the first jump or between two, and their shifts (rad).
 
     Such as a driver's zeros before its first reading: the readings after them are sound. Jumps are those of the `moves`
-    that win NATS.
+    that win EVIDENCE_THRESHOLD_NATS.
     """
-    edges = [(at, size) for at, size, nats in moves if nats > NATS]
+    edges = [(at, size) for at, size, nats in moves if nats > EVIDENCE_THRESHOLD_NATS]
     if not edges:
         return []
     stretches = pairwise([(int(np.isfinite(y).argmax()), -edges[0][1]), *edges])
-    return [(begin, end, size) for (begin, size), (end, _) in stretches if t[end] - t[begin] < SILENCE]
+    return [(begin, end, size) for (begin, size), (end, _) in stretches if t[end] - t[begin] < LONG_SILENCE_S]

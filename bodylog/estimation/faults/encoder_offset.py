@@ -5,72 +5,72 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...types import EITHER, Array, Fault, Hypothesis
+from ...types import ALTERNATIVE_SEPARATOR, Array, Fault, Hypothesis
 from ..inference.initial_path import OFFSET_STD
-from ..inference.problem import Problem
+from ..inference.problem import FilterProblem
 from ..inference.solution import Solution
 from ..measurements.records import Evidence
 from ..noise.quantisation import step_size
 from .offset_score import offset_score
-from .offset_step import Way, free_energy, likeliest_step
-from .threshold import NATS, SIGMAS
+from .offset_step import OffsetHypothesis, total_free_energy, find_likeliest_step
+from .threshold import EVIDENCE_THRESHOLD_NATS, CERTAIN_SIGMA
 
-WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
+RANDOM_WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
 """rad²/s: random-walk variances tried; the last one is a constant offset, as of a joint homed differently."""
 
 
-def suspected_encoders(problem: Problem, solved: Solution) -> tuple[Problem, Array]:
-    """The problem with the hypotheses of an offset of each encoder, to first order, and which (M,) bool win NATS."""
-    gain, offset, var = offset_score(problem, solved, WALKS[0])
-    certain = _significant(offset, var, smallest_fault(problem.evidence))
+def find_suspected_encoders(problem: FilterProblem, solved: Solution) -> tuple[FilterProblem, Array]:
+    """The problem with the hypotheses of an offset of each encoder, to first order, and which (M,) bool win EVIDENCE_THRESHOLD_NATS."""
+    gain, offset, var = offset_score(problem, solved, RANDOM_WALKS[0])
+    certain = _mark_significant_offsets(offset, var, smallest_fault(problem.evidence))
     found = (("offset", j, nats, False) for j, nats in enumerate(gain)) if gain.any() else ()
-    return _weighed(problem, found), np.asarray((gain > NATS) & certain.any(axis=0) & (_walks(problem) == 0))
+    return _add_hypotheses(problem, found), np.asarray((gain > EVIDENCE_THRESHOLD_NATS) & certain.any(axis=0) & (_list_random_walks(problem) == 0))
 
 
-def choose(
-    problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float],
-    tuned: Callable[[Problem], Problem],
-) -> Problem:  # fmt: skip
-    """Add one offset after the other while each wins NATS, and the hypotheses compared.
+def choose_encoder_offsets(
+    problem: FilterProblem, solved: Solution, suspected: Array, cost: Callable[[FilterProblem], float],
+    tuned: Callable[[FilterProblem], FilterProblem],
+) -> FilterProblem:  # fmt: skip
+    """Add one offset after the other while each wins EVIDENCE_THRESHOLD_NATS, and the hypotheses compared.
 
     suspected (M,) bool: the encoders tried first, at least one. `cost` gives nats, `tuned` a problem with noise of its
     own evidence. Steps are taken out of the readings, and are faults of the evidence. Joints with an offset are keys of
     the problem's `alternatives`.
     """
     first, found = cost(problem), problem
-    nats = free_energy(solved) if np.isinf(first) else first
+    nats = total_free_energy(solved) if np.isinf(first) else first
     while suspected.any():
-        walks = {j: cost(_with_walk(found, j, WALKS[0])) for j in np.flatnonzero(suspected).tolist()}
-        found = _weighed(found, (("offset", j, nats - walk, False) for j, walk in walks.items()))
-        wins = min(walks.values()) <= nats - NATS
+        walks = {j: cost(_with_walk(found, j, RANDOM_WALKS[0])) for j in np.flatnonzero(suspected).tolist()}
+        found = _add_hypotheses(found, (("offset", j, nats - walk, False) for j, walk in walks.items()))
+        wins = min(walks.values()) <= nats - EVIDENCE_THRESHOLD_NATS
         if not wins and found.alternatives:
             break
         # a gate rejects the readings after a large step, so that no offset wanders there: only a step is left to try
-        near = _near(walks) if wins else list(walks)
+        near = _list_near_optimal_joints(walks) if wins else list(walks)
         # the kind of offset is chosen before a further one is tried: one that wanders too freely hides others
-        ways = {j: _best_way(found, j, solved, cost, tuned) for j in near}
-        if min(way.nats for way in ways.values()) > nats - NATS:
+        ways = {j: _best_offset_hypothesis(found, j, solved, cost, tuned) for j in near}
+        if min(way.nats for way in ways.values()) > nats - EVIDENCE_THRESHOLD_NATS:
             break
         # among indistinguishable joints take the smallest walk: a larger one follows errors of the body model
-        near = sorted(_near({j: way.nats for j, way in ways.items()}))
-        joint = min(near, key=lambda j: (_walks(ways[j].problem)[j], ways[j].nats))
+        near = sorted(_list_near_optimal_joints({j: way.nats for j, way in ways.items()}))
+        joint = min(near, key=lambda j: (_list_random_walks(ways[j].problem)[j], ways[j].nats))
         compared = [("step" if way.fault else "offset", j, nats - way.nats, j == joint) for j, way in ways.items()]
-        found, nats = _weighed(_with_way(ways[joint], joint, near), compared), ways[joint].nats
+        found, nats = _add_hypotheses(_with_offset_hypothesis(ways[joint], joint, near), compared), ways[joint].nats
         # once one offset is modelled, another may show
-        suspected = (_walks(found) == 0) & ~np.isin(np.arange(len(suspected)), list(found.alternatives))
+        suspected = (_list_random_walks(found) == 0) & ~np.isin(np.arange(len(suspected)), list(found.alternatives))
     if len(found.alternatives) < 2:
         return found
-    return _chosen_again(problem, found, nats, solved, cost, tuned)
+    return _reconsider_offsets(problem, found, nats, solved, cost, tuned)
 
 
-def _chosen_again(
-    problem: Problem,
-    found: Problem,
+def _reconsider_offsets(
+    problem: FilterProblem,
+    found: FilterProblem,
     nats: float,
     solved: Solution,
-    cost: Callable[[Problem], float],
-    tuned: Callable[[Problem], Problem],
-) -> Problem:
+    cost: Callable[[FilterProblem], float],
+    tuned: Callable[[FilterProblem], FilterProblem],
+) -> FilterProblem:
     """Each of several offsets again, given the others, if all of them together then cost less.
 
     The first was chosen while the others were unknown, and may have taken up part of them.
@@ -78,13 +78,13 @@ def _chosen_again(
     again = found
     again_nats = nats
     for joint, others in found.alternatives.items():
-        way = _best_way(_without_offset(problem, again, joint), joint, solved, cost, tuned)
-        again = _with_way(way, joint, [joint, *others])
+        way = _best_offset_hypothesis(_remove_joint_offset(problem, again, joint), joint, solved, cost, tuned)
+        again = _with_offset_hypothesis(way, joint, [joint, *others])
         again_nats = way.nats
     return again if again_nats < nats else found
 
 
-def _without_offset(problem: Problem, found: Problem, joint: int) -> Problem:
+def _remove_joint_offset(problem: FilterProblem, found: FilterProblem, joint: int) -> FilterProblem:
     """The problem with the offsets found but for one joint's, whose readings are as they were."""
     assert problem.evidence.encoders is not None and found.evidence.encoders is not None
     own = np.arange(len(problem.start)) == joint
@@ -94,74 +94,74 @@ def _without_offset(problem: Problem, found: Problem, joint: int) -> Problem:
     kept = [
         fault
         for fault in found.evidence.faults
-        if fault in known or fault.name.partition(EITHER)[0] != name
+        if fault in known or fault.name.partition(ALTERNATIVE_SEPARATOR)[0] != name
     ]
     encoders = replace(found.evidence.encoders, values=values)
     evidence = replace(found.evidence, encoders=encoders, faults=tuple(kept))
     alternatives = {j: others for j, others in found.alternatives.items() if j != joint}
     return with_drift(
         replace(found, evidence=evidence, alternatives=alternatives),
-        np.where(own, _walks(problem), _walks(found)),
+        np.where(own, _list_random_walks(problem), _list_random_walks(found)),
     )
 
 
-def _near(costs: Mapping[int, float]) -> list[int]:
-    """Joints whose cost is within NATS of the least."""
-    return [joint for joint, nats in costs.items() if nats < min(costs.values()) + NATS]
+def _list_near_optimal_joints(costs: Mapping[int, float]) -> list[int]:
+    """Joints whose cost is within EVIDENCE_THRESHOLD_NATS of the least."""
+    return [joint for joint, nats in costs.items() if nats < min(costs.values()) + EVIDENCE_THRESHOLD_NATS]
 
 
-def _weighed(problem: Problem, found: Iterable[tuple[str, int, float, bool]]) -> Problem:
+def _add_hypotheses(problem: FilterProblem, found: Iterable[tuple[str, int, float, bool]]) -> FilterProblem:
     """The problem with further hypotheses: kind, joint, nats won, chosen or not; the last one of a joint and kind."""
     evidence = problem.evidence
-    each = (Hypothesis(f"encoder {kind}", evidence.joints[j], float(nats), NATS, won) for kind, j, nats, won in found)
+    each = (Hypothesis(f"encoder {kind}", evidence.joints[j], float(nats), EVIDENCE_THRESHOLD_NATS, won) for kind, j, nats, won in found)
     new = {(one.name, one.about): one for one in each}
     known = [new.pop((one.name, one.about), one) for one in evidence.hypotheses]
     return replace(problem, evidence=replace(evidence, hypotheses=(*known, *new.values())))
 
 
-def _with_way(way: Way, joint: int, near: list[int]) -> Problem:
+def _with_offset_hypothesis(way: OffsetHypothesis, joint: int, near: list[int]) -> FilterProblem:
     """The problem with an offset of one joint, or of the others in `near`, which explain as much."""
     evidence, others = way.problem.evidence, tuple(j for j in near if j != joint)
     if way.fault is not None:
         size = np.nan if others else way.fault.size
-        fault = replace(way.fault, name=_either(evidence.joints, joint, others), size=size)
+        fault = replace(way.fault, name=_name_alternatives(evidence.joints, joint, others), size=size)
         evidence = replace(evidence, faults=(*evidence.faults, fault))
     return replace(way.problem, evidence=evidence, alternatives={**way.problem.alternatives, joint: others})
 
 
-def _either(names: tuple[str, ...], joint: int, others: tuple[int, ...]) -> str:
+def _name_alternatives(names: tuple[str, ...], joint: int, others: tuple[int, ...]) -> str:
     """A faulty joint's name, with those of others that the log cannot distinguish from it."""
-    return EITHER.join(names[j] for j in (joint, *others))
+    return ALTERNATIVE_SEPARATOR.join(names[j] for j in (joint, *others))
 
 
-def _best_way(
-    problem: Problem, joint: int, solved: Solution, cost: Callable[[Problem], float],
-    tuned: Callable[[Problem], Problem],
-) -> Way:  # fmt: skip
+def _best_offset_hypothesis(
+    problem: FilterProblem, joint: int, solved: Solution, cost: Callable[[FilterProblem], float],
+    tuned: Callable[[FilterProblem], FilterProblem],
+) -> OffsetHypothesis:  # fmt: skip
     """The best random walk of one joint's offset, or its step where that costs less.
 
     These are compared with noise `tuned` with the offset: the problem's own has absorbed it.
     """
-    allowed = with_drift(tuned(_with_walk(problem, joint, WALKS[0])), _walks(problem))
-    walks = (_with_walk(allowed, joint, walk) for walk in WALKS)
-    best = min((Way(one, cost(one)) for one in walks), key=lambda way: way.nats)
-    step = likeliest_step(allowed, best.problem, joint, solved)
+    allowed = with_drift(tuned(_with_walk(problem, joint, RANDOM_WALKS[0])), _list_random_walks(problem))
+    walks = (_with_walk(allowed, joint, walk) for walk in RANDOM_WALKS)
+    best = min((OffsetHypothesis(one, cost(one)) for one in walks), key=lambda way: way.nats)
+    step = find_likeliest_step(allowed, best.problem, joint, solved)
     way = step if step is not None and step.nats < best.nats else best
     # against no offset it counts with the problem's noise: less of it makes an offset of a poor body's errors
     found = replace(way.problem, precision=replace(problem.precision, drift=way.problem.precision.drift))
     return way._replace(problem=found, nats=cost(found) + way.prior)
 
 
-def _walks(problem: Problem) -> Array:
+def _list_random_walks(problem: FilterProblem) -> Array:
     """Random walks (M,) rad²/s of the offsets in the problem so far."""
     return np.zeros(len(problem.start)) if problem.precision.drift is None else np.asarray(problem.precision.drift)
 
 
-def _with_walk(problem: Problem, joint: int, walk: float) -> Problem:
-    return with_drift(problem, np.where(np.arange(len(problem.start)) == joint, walk, _walks(problem)))
+def _with_walk(problem: FilterProblem, joint: int, walk: float) -> FilterProblem:
+    return with_drift(problem, np.where(np.arange(len(problem.start)) == joint, walk, _list_random_walks(problem)))
 
 
-def with_drift(problem: Problem, drift: Array) -> Problem:
+def with_drift(problem: FilterProblem, drift: Array) -> FilterProblem:
     """Return the problem with random walks `drift` (M,) rad²/s of encoder offsets; 0 for no offset."""
     return replace(problem, precision=replace(problem.precision, drift=drift))
 
@@ -175,11 +175,11 @@ def preset_walks(setting: str, evidence: Evidence) -> Array | None:
     seen = any(sighting.name != "touch" for sighting in evidence.sightings)
     jumped = {fault.name for fault in evidence.faults if fault.kind == "jumping" and seen}
     if setting == "on" or (setting == "auto" and jumped):
-        return np.array([WALKS[1] if setting == "on" or name in jumped else 0.0 for name in names])
+        return np.array([RANDOM_WALKS[1] if setting == "on" or name in jumped else 0.0 for name in names])
     return None
 
 
-def repaired_variance(problem: Problem, offset_var: Array | None) -> Array:
+def repaired_variance(problem: FilterProblem, offset_var: Array | None) -> Array:
     """Variance (E,M) rad² of angles by the sizes ± std of jumps that were taken out of earlier readings.
 
     offset_var (E,M) rad²: of offsets in the state, or None. Images that turned an offset's prior
@@ -187,11 +187,11 @@ def repaired_variance(problem: Problem, offset_var: Array | None) -> Array:
     with a prior V + std² the variance would be 1/(1/(V + std²) + 1/P − 1/V), and P less is added.
     """
     t = problem.timeline.t
-    walks = _walks(problem)
+    walks = _list_random_walks(problem)
     names = problem.evidence.joints
     added = np.zeros((len(t), len(names)))
     for fault in problem.evidence.faults:
-        joint = fault.name.partition(EITHER)[0]
+        joint = fault.name.partition(ALTERNATIVE_SEPARATOR)[0]
         if fault.sense != "encoders" or fault.std is None or joint not in names:
             continue
         column = names.index(joint)
@@ -218,18 +218,18 @@ def smallest_fault(evidence: Evidence) -> Array | float:
     return np.maximum(least, steps_shown)
 
 
-def _significant(offset: Array, var: Array, least: Array | float) -> Array:
+def _mark_significant_offsets(offset: Array, var: Array, least: Array | float) -> Array:
     """Where offsets (N,M) with variances (N,M) are significant and at least `smallest_fault` (M,) rad."""
-    return np.asarray(np.abs(offset) > np.maximum(least, SIGMAS * np.sqrt(var)))
+    return np.asarray(np.abs(offset) > np.maximum(least, CERTAIN_SIGMA * np.sqrt(var)))
 
 
-def faults(problem: Problem, offset: Array, var: Array) -> tuple[Fault, ...]:
+def list_drifting_encoders(problem: FilterProblem, offset: Array, var: Array) -> tuple[Fault, ...]:
     """Return drifting encoders, since when and how far, from offsets and their variances (N,M).
 
     Where another joint's offset explains nearly as much, both are named and the size is NaN.
     """
-    t, walks, names = problem.timeline.t, _walks(problem), problem.evidence.joints
-    found, certain = [], _significant(offset, var, smallest_fault(problem.evidence))
+    t, walks, names = problem.timeline.t, _list_random_walks(problem), problem.evidence.joints
+    found, certain = [], _mark_significant_offsets(offset, var, smallest_fault(problem.evidence))
     stepped = [(joint, *others) for joint, others in problem.alternatives.items() if not walks[joint]]
     known = (fault.name for fault in problem.evidence.faults if fault.sense == "encoders")
     faulty = {*known, *(names[j] for joints in stepped for j in joints)}
@@ -241,8 +241,8 @@ def faults(problem: Problem, offset: Array, var: Array) -> tuple[Fault, ...]:
         if lasting.any():
             alternatives = problem.alternatives.get(joint, ())
             # the largest that is certain
-            at = int((np.abs(offset[:, joint]) - SIGMAS * np.sqrt(var[:, joint])).argmax())
+            at = int((np.abs(offset[:, joint]) - CERTAIN_SIGMA * np.sqrt(var[:, joint])).argmax())
             size, std = (np.nan, None) if alternatives else (float(offset[at, joint]), float(np.sqrt(var[at, joint])))
-            either, since = _either(names, joint, alternatives), float(t[lasting.argmax()])
+            either, since = _name_alternatives(names, joint, alternatives), float(t[lasting.argmax()])
             found.append(Fault("encoders", either, "drifting", since, size, problem.evidence.unit, std))
     return tuple(found)

@@ -6,21 +6,21 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Fault
-from ..measurements.long_arrays import seen
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Encoders, Evidence, Sighting
-from .repeats import parted, repeats
-from .threshold import NATS
+from .repeats import split_stretch, find_equal_stretches
+from .threshold import EVIDENCE_THRESHOLD_NATS
 
 
-def detect(evidence: Evidence, body: BodyModel) -> Evidence:
+def detect_frozen_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     """Remove track positions that repeat exactly while the encoders predict motion."""
     if evidence.encoders is None or "encoders" in body.senses:
         return evidence
     used, sightings, faults = dict(evidence.used), list[Sighting](), list[Fault]()
     for sighting in evidence.sightings:
-        values, found = _moving(sighting, evidence.encoders) if sighting.name != "touch" else (sighting.values, [])
+        values, found = _remove_false_repeats(sighting, evidence.encoders) if sighting.name != "touch" else (sighting.values, [])
         if found:
-            health, left = used[sighting.name], int(seen(values).sum())
+            health, left = used[sighting.name], int(find_finite_rows(values).sum())
             rejected = {**health.rejected, "frozen": health.used - left}
             used[sighting.name] = replace(health, used=left, rejected=rejected)
         sightings.append(replace(sighting, values=values))
@@ -28,13 +28,13 @@ def detect(evidence: Evidence, body: BodyModel) -> Evidence:
     return replace(evidence, sightings=tuple(sightings), used=used, faults=(*evidence.faults, *faults))
 
 
-def _moving(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]:
+def _remove_false_repeats(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]:
     """Return positions (N,D) with false repeats as NaN, the first of each stretch kept, and the faults."""
-    shown = np.flatnonzero(seen(sighting.values))
+    shown = np.flatnonzero(find_finite_rows(sighting.values))
     values, found = sighting.values.copy(), []
-    for begin, end in repeats(sighting.t[shown], sighting.values[shown]):
+    for begin, end in find_equal_stretches(sighting.t[shown], sighting.values[shown]):
         own = shown[begin:end]
-        if moved := _moved(sighting, encoders, sighting.t[own[0]], sighting.t[own[-1]]):
+        if moved := _predict_largest_motion(sighting, encoders, sighting.t[own[0]], sighting.t[own[-1]]):
             values[own[1:]] = np.nan
             since = float(sighting.t[own[1]])
             until = float(sighting.t[shown[end]]) if end < len(shown) else None
@@ -42,11 +42,11 @@ def _moving(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]
     return values, found
 
 
-def _moved(sighting: Sighting, encoders: Encoders, begin: float, end: float) -> float:
+def _predict_largest_motion(sighting: Sighting, encoders: Encoders, begin: float, end: float) -> float:
     """Largest motion (px) that the encoders predict from the first part of a stretch on; 0 if not significant."""
     inside = (encoders.t >= begin) & (encoders.t <= end)
     x = encoders.at(encoders.t[inside])
-    parts = parted(encoders.t[inside])
+    parts = split_stretch(encoders.t[inside])
     if not parts or not np.isfinite(x).all():
         return 0.0
     means = np.stack([x[part].mean(axis=0) for part in parts])
@@ -57,4 +57,4 @@ def _moved(sighting: Sighting, encoders: Encoders, begin: float, end: float) -> 
     places = np.stack([sighting.model.predict(some)[0] for some in without])
     apart = float(np.linalg.norm(places - places[:, :1], axis=2).max(axis=1).min())
     # the largest of as many distances as there are parts
-    return apart if 0.5 * apart**2 > (NATS + np.log(len(parts))) * noise and apart > 1.0 else 0.0
+    return apart if 0.5 * apart**2 > (EVIDENCE_THRESHOLD_NATS + np.log(len(parts))) * noise and apart > 1.0 else 0.0

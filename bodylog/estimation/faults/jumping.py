@@ -6,34 +6,34 @@ import numpy as np
 
 from ...types import Array
 from ..inference.initial_path import OFFSET_STD
-from ..measurements.long_arrays import LEVEL, median, median_step, rows
+from ..measurements.long_arrays import LEVEL_READINGS, median_by_pivot, median_step, index_true_rows
 from ..noise.quantisation import step_size
-from .threshold import NATS
+from .threshold import EVIDENCE_THRESHOLD_NATS
 
-FASTEST = 1000.0
+MAX_ACCELERATION_RAD_S2 = 1000.0
 """rad/s²: largest acceleration of a joint; the fastest parallel robots reach a third of it at 1 m (15 g at 0.5 m)."""
 
 
-SIZE_READINGS = 2 * LEVEL
+SIZE_READINGS = 2 * LEVEL_READINGS
 """Readings on each side of a jump that tell its size. On 1,800 jumps of drawn arms at 50 to 500 Hz
 sizes are off by 0.90 to 0.95 of the stated standard deviation, and by 3.0 of it at most; with up to
 40 readings, by up to 1.14 and 3.3."""
 
 
-def jumps(t: Array, y: Array) -> list[tuple[int, float, float]]:
+def find_jumps(t: Array, y: Array) -> list[tuple[int, float, float]]:
     """Return first index after each lasting shift in level of y (N,) rad at t (N,) s, its size and std (rad)."""
     known = np.flatnonzero(np.isfinite(y))
     when, v = t[known], y[known]
-    begins = [at for at, _, nats in shifts(t, y) if nats > NATS]
+    begins = [at for at, _, nats in find_level_shifts(t, y) if nats > EVIDENCE_THRESHOLD_NATS]
     at_known = np.searchsorted(known, begins)
     edges = [0, *at_known.tolist(), len(known)]
     return [
-        (at, *_size(when[before:after], v[before:after], middle - before))
+        (at, *_fit_jump_size(when[before:after], v[before:after], middle - before))
         for at, before, middle, after in zip(begins, edges, edges[1:], edges[2:], strict=False)
     ]
 
 
-def _size(t: Array, v: Array, at: int) -> tuple[float, float]:
+def _fit_jump_size(t: Array, v: Array, at: int) -> tuple[float, float]:
     """Size and std (rad) of a jump before the reading `at` of v (N,) rad at t (N,) s: a cubic and a step."""
     window = slice(max(0, at - SIZE_READINGS), at + SIZE_READINGS)
     since = t[window] - t[at]
@@ -42,56 +42,56 @@ def _size(t: Array, v: Array, at: int) -> tuple[float, float]:
     fitted = np.linalg.lstsq(basis, v[window] - v[at])[0]
     off = v[window] - v[at] - basis @ fitted
     freedom = max(len(off) - basis.shape[1], 1)
-    scatter = max(_noise(v), float(np.sqrt(off @ off / freedom)))
+    scatter = max(_estimate_reading_noise(v), float(np.sqrt(off @ off / freedom)))
     std = scatter * float(np.linalg.norm(np.linalg.pinv(basis)[-1]))
     return float(fitted[-1]), std
 
 
-def _noise(v: Array) -> float:
+def _estimate_reading_noise(v: Array) -> float:
     """Scatter (rad) of readings v (N,), by their second differences, and at least that of rounding."""
     bends = np.abs(np.diff(v, 2))
     # a normal scatter σ has second differences of √6 σ, whose median size is 0.67 of that
-    scatter = float(median(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
+    scatter = float(median_by_pivot(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
     rounding = step_size(v) / 12.0**0.5
     return float(max(scatter, rounding))
 
 
-def shifts(t: Array, y: Array) -> list[tuple[int, float, float]]:
+def find_level_shifts(t: Array, y: Array) -> list[tuple[int, float, float]]:
     """The first index after each shift that may be a jump, its size (rad) and the nats it wins, for y (N,) at t (N,) s.
 
-    The largest sound shift wins NATS. The largest step is among them, sound or not.
+    The largest sound shift wins EVIDENCE_THRESHOLD_NATS. The largest step is among them, sound or not.
     """
-    known = rows(np.isfinite(y))
+    known = index_true_rows(np.isfinite(y))
     v, when = y[known], t[known]
-    if len(v) < 4 * LEVEL:
+    if len(v) < 4 * LEVEL_READINGS:
         return []
     steps, usual = np.diff(v), median_step(when)
-    bound = _largest_sound(steps, when, usual)
+    bound = _largest_sound_step(steps, when, usual)
     # after a gap the joint may have moved to the new reading
     sizes = np.where(np.diff(when) < 3.0 * usual, np.abs(steps), 0.0)
     tried = {*np.flatnonzero(sizes > bound).tolist(), int(sizes.argmax())}
-    found = [(k, _shift(v, k)) for k in sorted(tried)]
-    return [(int(np.searchsorted(t, when[k + 1])), size, NATS * (size / bound) ** 2) for k, size in found]
+    found = [(k, _measure_level_shift(v, k)) for k in sorted(tried)]
+    return [(int(np.searchsorted(t, when[k + 1])), size, EVIDENCE_THRESHOLD_NATS * (size / bound) ** 2) for k, size in found]
 
 
-def _largest_sound(steps: Array, when: Array, usual: float) -> float:
+def _largest_sound_step(steps: Array, when: Array, usual: float) -> float:
     """Largest step (rad) of a sound encoder, from steps (N-1,) rad at `when` (N,) s, `usual` s apart."""
     # from rest to rest in a time h takes 4 s/h²
-    fastest = FASTEST * max(usual, _hold_time(steps, when)) ** 2 / 4.0
-    return max(NATS * _scale(steps), OFFSET_STD, fastest)
+    fastest = MAX_ACCELERATION_RAD_S2 * max(usual, _hold_time(steps, when)) ** 2 / 4.0
+    return max(EVIDENCE_THRESHOLD_NATS * _estimate_step_scale(steps), OFFSET_STD, fastest)
 
 
-def _shift(v: Array, k: int) -> float:
+def _measure_level_shift(v: Array, k: int) -> float:
     """Shift in level (rad) of readings v (N,) after the k-th; 0 if they change as much beside it, or are too few."""
-    before, after = v[max(0, k + 1 - LEVEL) : k + 1], v[k + 1 : k + 1 + LEVEL]
-    if len(before) < LEVEL or len(after) < LEVEL:
+    before, after = v[max(0, k + 1 - LEVEL_READINGS) : k + 1], v[k + 1 : k + 1 + LEVEL_READINGS]
+    if len(before) < LEVEL_READINGS or len(after) < LEVEL_READINGS:
         return 0.0
-    size = _level(after[::-1]) - _level(before)
+    size = _extrapolate_level(after[::-1]) - _extrapolate_level(before)
     apart = max(float(np.abs(np.diff(before)).max()), float(np.abs(np.diff(after)).max()))
     return size if apart < abs(size) / 2 else 0.0
 
 
-def unwrapped(y: Array) -> Array:
+def unwrap_turns(y: Array) -> Array:
     """Return readings y (N,) rad, NaN where missing, with whole turns between neighbours removed."""
     # a shift nearer to half a turn is a false reading
     found, known = y.copy(), np.isfinite(y)
@@ -108,17 +108,17 @@ def _hold_time(steps: Array, t: Array) -> float:
     return min(float(np.quantile(np.diff(t[moved]), 0.1)), 0.1) if len(moved) > 3 else 0.0
 
 
-def _scale(steps: Array) -> float:
-    """Scale (rad) of steps (N,) rad with the long tails of motion, e^(−|step|/scale): a step of NATS scales wins NATS.
+def _estimate_step_scale(steps: Array) -> float:
+    """Scale (rad) of steps (N,) rad with the long tails of motion, e^(−|step|/scale): a step of EVIDENCE_THRESHOLD_NATS scales wins EVIDENCE_THRESHOLD_NATS.
 
     For coarse encoders, whose median step is 0, the median nonzero step.
     """
-    if half := median(np.abs(steps - median(steps))):
+    if half := median_by_pivot(np.abs(steps - median_by_pivot(steps))):
         return half / log(2.0)
     moved = np.abs(steps[steps != 0.0])
-    return median(moved) if len(moved) else 0.0
+    return median_by_pivot(moved) if len(moved) else 0.0
 
 
-def _level(v: Array) -> float:
+def _extrapolate_level(v: Array) -> float:
     """Level of a short piece at its last reading, by a straight line."""
     return float(np.polyfit(np.arange(1 - len(v), 1), v, 1)[1])

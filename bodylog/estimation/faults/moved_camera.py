@@ -16,18 +16,18 @@ from ...body_model import BodyModel, ForwardModel
 from ...linear_algebra import forward_substituted
 from ...types import Array, Fault, Hypothesis
 from ..inference.initial_path import OFFSET_STD
-from ..measurements.gather import camera
+from ..measurements.gather import camera_of_track
 from ..measurements.records import Encoders, Evidence, Sighting
-from ..measurements.track_curve import Curve, interpolated, track_curve
-from .encoder_offset import WALKS
-from .threshold import FAR, LATE, NATS
+from ..measurements.track_curve import Curve, interpolate_curve, track_curve
+from .encoder_offset import RANDOM_WALKS
+from .threshold import PRIOR_STD_RAD, MIN_DELAY_S, EVIDENCE_THRESHOLD_NATS
 
-MOST = 160
+MAX_READING_MEANS = 160
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
 
 
 @dataclass(frozen=True, eq=False)
-class Displacement:
+class CameraDisplacement:
     """A displacement (2,) px since t (s), its covariance (2,2), and the nats won against all other explanations."""
 
     t: float
@@ -37,7 +37,7 @@ class Displacement:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
+class _DisplacementRows:
     """Rows of all tracks: t (R,) s · output (R,) 0 or 1 · residuals r (R,) px · jac (R,M) px/rad · the Cholesky factor
     (R,R) of their covariance.
     """
@@ -48,11 +48,11 @@ class _Rows:
     jac: Array
     chol: Array
 
-    def without(self, moves: Sequence[Displacement]) -> "_Rows":
+    def without(self, moves: Sequence[CameraDisplacement]) -> "_DisplacementRows":
         """The rows with displacements subtracted."""
         return replace(self, r=self.r - sum(one.size[self.output] * (self.t >= one.t) for one in moves))
 
-    def wandering(self, walk: float) -> "_Rows":
+    def wandering(self, walk: float) -> "_DisplacementRows":
         """The rows with encoders' offsets that wander by `walk` rad²/s."""
         more = _offset_covariance(self.t, self.jac, walk)
         return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more))
@@ -60,10 +60,10 @@ class _Rows:
     @property
     def cost(self) -> float:
         """−ln p (nats), up to a constant of all hypotheses."""
-        return float(_nats(np.square(forward_substituted(self.chol, self.r[:, None])).sum(), self.chol))
+        return float(_nats_at_best_scale(np.square(forward_substituted(self.chol, self.r[:, None])).sum(), self.chol))
 
 
-class _Unsure:
+class _ModelWithAddedVariance:
     """A forward model with added variance (D,) unit²; otherwise the plain model."""
 
     def __init__(self, plain: ForwardModel, added: Array) -> None:
@@ -79,7 +79,7 @@ class _Unsure:
         return mean, jac, var + self._added
 
 
-def detect(evidence: Evidence, body: BodyModel) -> Evidence:
+def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     """Undo camera displacements in the tracks; the uncertainty of each is added to the model's variance.
 
     Without effect if encoders read another function of the angle.
@@ -88,70 +88,70 @@ def detect(evidence: Evidence, body: BodyModel) -> Evidence:
         return evidence
     sightings, faults, hypotheses = list(evidence.sightings), list[Fault](), list[Hypothesis]()
     tracks = [k for k, s in enumerate(sightings) if s.name != "touch" and s.model.outputs == ("u", "v")]
-    for name in dict.fromkeys(camera(sightings[k].name) for k in tracks):
-        own = [k for k in tracks if camera(sightings[k].name) == name]
-        for found in displacements(evidence.encoders, [sightings[k] for k in own]):
-            hypotheses.append(Hypothesis("camera moved", name, found.nats, NATS, found.nats > NATS))
-            if found.nats > NATS:
-                faults.append(_fault(name, found))
+    for name in dict.fromkeys(camera_of_track(sightings[k].name) for k in tracks):
+        own = [k for k in tracks if camera_of_track(sightings[k].name) == name]
+        for found in find_displacements(evidence.encoders, [sightings[k] for k in own]):
+            hypotheses.append(Hypothesis("camera moved", name, found.nats, EVIDENCE_THRESHOLD_NATS, found.nats > EVIDENCE_THRESHOLD_NATS))
+            if found.nats > EVIDENCE_THRESHOLD_NATS:
+                faults.append(_displacement_fault(name, found))
                 for k in own:
-                    sightings[k] = undisplaced(sightings[k], found)
+                    sightings[k] = subtract_displacement(sightings[k], found)
     found_in = replace(evidence, sightings=tuple(sightings), faults=(*evidence.faults, *faults))
     return replace(found_in, hypotheses=(*evidence.hypotheses, *hypotheses))
 
 
-def _fault(name: str, found: Displacement) -> Fault:
+def _displacement_fault(name: str, found: CameraDisplacement) -> Fault:
     size = float(np.hypot(*found.size))
     std = float(np.sqrt(found.size @ found.cov @ found.size)) / size
     return Fault("vision", name, "displaced", found.t, size, "px", std)
 
 
-def undisplaced(sighting: Sighting, moved: Displacement) -> Sighting:
+def subtract_displacement(sighting: Sighting, moved: CameraDisplacement) -> Sighting:
     """Return the sighting with the displacement subtracted from its time on."""
     off = (sighting.t >= moved.t)[:, None] * moved.size
     before = np.zeros_like(sighting.values) if sighting.displaced is None else sighting.displaced
-    unsure = _Unsure(sighting.model, np.diag(moved.cov))
+    unsure = _ModelWithAddedVariance(sighting.model, np.diag(moved.cov))
     return replace(sighting, model=unsure, values=sighting.values - off, displaced=before + off)
 
 
-def displacements(encoders: Encoders, seen: Sequence[Sighting]) -> list[Displacement]:
-    """Return the displacements of one camera's tracks that win NATS, by time, or else the most likely one.
+def find_displacements(encoders: Encoders, seen: Sequence[Sighting]) -> list[CameraDisplacement]:
+    """Return the displacements of one camera's tracks that win EVIDENCE_THRESHOLD_NATS, by time, or else the most likely one.
 
     Empty where too little is seen.
     """
-    found = [(s, curve) for s in seen if (curve := track_curve(encoders, s, MOST // len(seen))) is not None]
-    rows = _rows(found) if found else None
+    found = [(s, curve) for s in seen if (curve := track_curve(encoders, s, MAX_READING_MEANS // len(seen))) is not None]
+    rows = _build_displacement_rows(found) if found else None
     if rows is None or not len(rows.t):
         return []
-    moves = _displacements(rows)
-    if moves[0].nats > NATS:
+    moves = _search_displacements(rows)
+    if moves[0].nats > EVIDENCE_THRESHOLD_NATS:
         beyond = _gain_over_encoders(rows, moves)
-        moves = [replace(one, nats=min(one.nats, beyond)) for one in (moves if beyond > NATS else moves[:1])]
+        moves = [replace(one, nats=min(one.nats, beyond)) for one in (moves if beyond > EVIDENCE_THRESHOLD_NATS else moves[:1])]
     return sorted(moves, key=lambda one: one.t)
 
 
-def _displacements(rows: _Rows) -> list[Displacement]:
-    """Add displacements while each wins NATS, re-estimating the others each time; else the most likely one."""
+def _search_displacements(rows: _DisplacementRows) -> list[CameraDisplacement]:
+    """Add displacements while each wins EVIDENCE_THRESHOLD_NATS, re-estimating the others each time; else the most likely one."""
     moves = [_best_displacement(rows)]
-    while moves[-1].nats > NATS:
+    while moves[-1].nats > EVIDENCE_THRESHOLD_NATS:
         more = [*moves, _best_displacement(rows.without(moves))]
         for k in range(len(more)):
             more[k] = _best_displacement(rows.without(more[:k] + more[k + 1 :]))
-        if min(one.nats for one in more) <= NATS:
+        if min(one.nats for one in more) <= EVIDENCE_THRESHOLD_NATS:
             break
         moves = more
     return moves
 
 
-def _best_displacement(rows: _Rows) -> Displacement:
+def _best_displacement(rows: _DisplacementRows) -> CameraDisplacement:
     """The most likely displacement, and the nats it wins."""
     # a priori as large as an encoder's offset shows, or 1e-3 px if joints do not move the track
-    wide = max(FAR * float(np.sqrt(np.square(rows.jac).mean())), 1e-3)
+    wide = max(PRIOR_STD_RAD * float(np.sqrt(np.square(rows.jac).mean())), 1e-3)
     found = _best_step(rows, np.eye(2)[rows.output], wide)
     return replace(found, nats=rows.cost - found.nats)
 
 
-def _gain_over_encoders(rows: _Rows, moves: list[Displacement]) -> float:
+def _gain_over_encoders(rows: _DisplacementRows, moves: list[CameraDisplacement]) -> float:
     """Nats won by each move against the best alternative: encoders wander, one steps, or all err at first.
 
     Negative where residuals exceed the noise: the model is not linear over a large offset. A step of one encoder is as
@@ -161,34 +161,34 @@ def _gain_over_encoders(rows: _Rows, moves: list[Displacement]) -> float:
     # the mean square is 1 where all noise is as stated
     if (poor := 4.0 * len(white) - np.square(white).sum()) < 0.0:
         return 0.5 * float(poor)
-    wandering = [rows.wandering(walk).cost for walk in (WALKS[0], WALKS[2])]
-    steps = min(_best_step(rows, lean[:, None], FAR).nats for lean in rows.jac.T)
-    settled = _best_step(rows, rows.jac, FAR, until=True).nats
+    wandering = [rows.wandering(walk).cost for walk in (RANDOM_WALKS[0], RANDOM_WALKS[2])]
+    steps = min(_best_step(rows, lean[:, None], PRIOR_STD_RAD).nats for lean in rows.jac.T)
+    settled = _best_step(rows, rows.jac, PRIOR_STD_RAD, until=True).nats
     # each given those before it: given those after it, too, displacements that cancel win twice
     won = [_best_displacement(rows.without(moves[:k])).nats for k in range(len(moves))]
     return min(steps - rows.cost + won[0], (min(settled, *wandering) - rows.cost + sum(won)) / len(moves))
 
 
-def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
+def _build_displacement_rows(found: Sequence[tuple[Sighting, Curve]]) -> _DisplacementRows:
     """The tracks' curves beside the encoders, as rows whose covariance is that of a fixed camera and sound encoders."""
     parts, own = list[tuple[Array, ...]](), list[Array]()
     for sighting, curve in found:
-        place, speed, *_, sound = interpolated(curve, 0.0)
+        place, speed, *_, sound = interpolate_curve(curve, 0.0)
         x, off = curve.x[sound] / getattr(sighting.model, "reach", np.inf), place - curve.predicted
-        alike = np.exp(-0.5 * sum(np.square(np.subtract.outer(column, column)) for column in x.T))
+        correlation = np.exp(-0.5 * sum(np.square(np.subtract.outer(column, column)) for column in x.T))
         for d in range(2):
             model = np.sqrt(curve.model[sound, d])
-            own.append(np.outer(model, model) * alike + curve.noise[d] * np.eye(len(model)))
+            own.append(np.outer(model, model) * correlation + curve.noise[d] * np.eye(len(model)))
             columns = curve.at, np.full(len(curve.at), d), off[:, d], curve.jac[:, d], curve.encoder, speed[:, d]
             parts.append(tuple(column[sound] for column in columns))
     t, output, r, jac, encoder, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
     # rows of one time share the same means of encoder readings
-    cov = (t[:, None] == t) * ((jac * encoder) @ jac.T) + _offset_covariance(t, jac, WALKS[-1])
+    cov = (t[:, None] == t) * ((jac * encoder) @ jac.T) + _offset_covariance(t, jac, RANDOM_WALKS[-1])
     # smaller delays are left
-    cov += LATE**2 * np.outer(speed, speed)
+    cov += MIN_DELAY_S**2 * np.outer(speed, speed)
     for end, block in zip(np.cumsum([len(block) for block in own]).tolist(), own, strict=True):
         cov[end - len(block) : end, end - len(block) : end] += block
-    return _Rows(t, output, r, jac, np.linalg.cholesky(cov))
+    return _DisplacementRows(t, output, r, jac, np.linalg.cholesky(cov))
 
 
 def _offset_covariance(t: Array, jac: Array, walk: float) -> Array:
@@ -197,7 +197,7 @@ def _offset_covariance(t: Array, jac: Array, walk: float) -> Array:
     return np.asarray((jac @ jac.T) * (OFFSET_STD**2 + walk * np.minimum.outer(since, since)))
 
 
-def _best_step(rows: _Rows, basis: Array, wide: float, until: bool = False) -> Displacement:
+def _best_step(rows: _DisplacementRows, basis: Array, wide: float, until: bool = False) -> CameraDisplacement:
     """The most likely step along a basis (R,D), with D ~ N(0, wide²), and its time.
 
     Its `nats` is the cost, −ln p of all rows, averaged over all times of a step. `until`: it is undone at its time.
@@ -210,14 +210,14 @@ def _best_step(rows: _Rows, basis: Array, wide: float, until: bool = False) -> D
     pull = np.einsum("rdk,r->kd", s, r)
     size = np.linalg.solve(info, pull[..., None])[..., 0]
     won = 0.5 * (pull * size).sum(axis=1) - 0.5 * np.linalg.slogdet(wide**2 * info)[1]
-    cost = _nats(r @ r - 2.0 * won, rows.chol)
+    cost = _nats_at_best_scale(r @ r - 2.0 * won, rows.chol)
     best = int(cost.argmin())
     # all times are equally likely
     total = float(cost[best] - np.log(np.exp(cost[best] - cost).mean()))
-    return Displacement(float(times[best]), size[best], np.linalg.inv(info[best]), total)
+    return CameraDisplacement(float(times[best]), size[best], np.linalg.inv(info[best]), total)
 
 
-def _nats(square: Array, chol: Array) -> Array:
+def _nats_at_best_scale(square: Array, chol: Array) -> Array:
     """−ln p (nats) from squared whitened residuals, at the most likely common noise scale ≥ 1."""
     scale = np.maximum(square / len(chol), 1.0)
     return np.asarray(0.5 * (square / scale + len(chol) * np.log(scale)) + np.log(np.diag(chol)).sum())

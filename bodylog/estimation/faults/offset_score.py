@@ -9,15 +9,15 @@ import numpy as np
 
 from ...types import Array
 from ..inference.initial_path import OFFSET_STD
-from ..inference.problem import Problem
+from ..inference.problem import FilterProblem
 from ..inference.solution import Solution
-from ..measurements.long_arrays import seen as seen_rows
-from ..measurements.timeline import spans
-from ..noise.correlated_noise import counts
-from .threshold import SIGMAS
+from ..measurements.long_arrays import find_finite_rows as seen_rows
+from ..measurements.timeline import list_span_starts
+from ..noise.correlated_noise import count_effective_frames
+from .threshold import CERTAIN_SIGMA
 
 
-def offset_score(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Array, Array]:
+def offset_score(problem: FilterProblem, solved: Solution, walk: float) -> tuple[Array, Array, Array]:
     """Nats (M,) that an offset of each encoder with random walk `walk` rad²/s would win; 0 without images.
 
     Also returns that offset over spans of the log (S,M) rad, and its variance (S,M).
@@ -27,14 +27,14 @@ def offset_score(problem: Problem, solved: Solution, walk: float) -> tuple[Array
     if not visual:
         return np.zeros(m), *np.zeros((2, 1, m))
     # in a span an offset walks by less than the least fault: by two standard deviations
-    begins = np.unique(np.searchsorted(t, spans(t, (0.5 * OFFSET_STD) ** 2 / walk)))
+    begins = np.unique(np.searchsorted(t, list_span_starts(t, (0.5 * OFFSET_STD) ** 2 / walk)))
     bounds = np.append(begins, len(t))
     pull, weight = _encoder_sums(solved, bounds)
     seen = np.sum([_track_sums(problem, solved, k, bounds) for k in visual], axis=0)
-    return _filtered_offsets(np.diff(t[begins], append=t[-1]), *_of_offsets(pull, weight, seen), walk)
+    return _filtered_offsets(np.diff(t[begins], append=t[-1]), *_score_offsets(pull, weight, seen), walk)
 
 
-def _of_offsets(pull: Array, weight: Array, seen: Array) -> tuple[Array, Array]:
+def _score_offsets(pull: Array, weight: Array, seen: Array) -> tuple[Array, Array]:
     """Slope and curvature (S,M) of the evidence in each encoder's offset, from the sums of encoders and of tracks.
 
     With W the encoders' information and A that of all others, 1 - (A + W)⁻¹W is (A + W)⁻¹A: as a difference it would
@@ -54,13 +54,13 @@ def _encoder_sums(solved: Solution, bounds: Array) -> tuple[Array, Array]:
     """Sums (S,M) of S⁻¹ν, clipped so that single blunders do not look like an offset, and of S⁻¹ over spans."""
     d = solved.trace.encoder_d
     spread = np.einsum("liic->lic", solved.trace.prior_cov) + solved.readings.encoder_var
-    each = np.clip(d, -SIGMAS, SIGMAS) / np.sqrt(spread), 1.0 / spread
+    each = np.clip(d, -CERTAIN_SIGMA, CERTAIN_SIGMA) / np.sqrt(spread), 1.0 / spread
     rows = (solved.fold.unfold(np.where(np.isfinite(d), a, 0.0)) for a in each)
     pull, weight = (np.add.reduceat(a, bounds[:-1]) for a in rows)
     return pull, weight
 
 
-def _track_sums(problem: Problem, solved: Solution, track: int, bounds: Array) -> Array:
+def _track_sums(problem: FilterProblem, solved: Solution, track: int, bounds: Array) -> Array:
     """Sums of a track's JᵀS⁻¹J, and of JᵀS⁻¹ν clipped alike, over spans: (S,M,M+1)."""
     readings, trace, sighting = solved.readings, solved.trace, problem.evidence.sightings[track]
     seen, size = seen_rows(sighting.values), np.arange(sighting.values.shape[1])
@@ -71,7 +71,7 @@ def _track_sums(problem: Problem, solved: Solution, track: int, bounds: Array) -
     s[:, size, size] += var + _correlated_error(solved, track, seen)
     white = np.linalg.solve(s, np.concatenate([jac, nu], axis=2))
     far = np.sqrt((nu[..., 0] * white[..., -1]).mean(axis=1))
-    white[..., -1] /= np.maximum(far / SIGMAS, 1.0)[:, None]
+    white[..., -1] /= np.maximum(far / CERTAIN_SIGMA, 1.0)[:, None]
     each = (jac.swapaxes(1, 2) @ white).cumsum(axis=0)
     return np.diff(np.insert(each, 0, 0.0, axis=0)[np.searchsorted(events, bounds)], axis=0)
 
@@ -80,7 +80,7 @@ def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
     """Variance (F,D) added for correlated model error, so that frames of like postures count as one."""
     points, model = solved.tangents.points[track][seen], solved.tangents.model_var(track)[seen]
     # within 0.3 rad errors of the body model are correlated, and look like an offset
-    duplicates = counts(np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / 0.3))
+    duplicates = count_effective_frames(np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / 0.3))
     return np.asarray(model * (2.0 * duplicates - 2.0)[:, None])
 
 

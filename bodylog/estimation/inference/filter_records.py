@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from ...types import Array
-from .gate import GATE
+from .gate import GATE_SIGMA
 from .stationary import Stationary
 
 
 @dataclass(frozen=True, eq=False)
-class Dynamics:
+class FilterDynamics:
     """White acceleration (M,) rad²/s³, or jerk rad²/s⁵ · random walk (M,) rad²/s of offsets, or None; or (M,C).
 
     is_prior (M,) bool: joints whose readings come from the posture prior; they do not count as evidence · order: 2 for
@@ -55,7 +55,7 @@ class Dynamics:
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
+class FilterReadings:
     """Measurements, folded (L,…,C): dt s · encoders, var (L,M,C), NaN where silent · T tracks of D rows.
 
     A track's row r reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where unseen.
@@ -74,16 +74,16 @@ class Readings:
     reset: Array | None = field(default=None, kw_only=True)
     more: Array | None = field(default=None, kw_only=True)
     moves: tuple[Array, Array, Array] | None = field(default=None, kw_only=True)
-    gate: float = field(default=GATE, kw_only=True)
+    gate: float = field(default=GATE_SIGMA, kw_only=True)
 
-    def between(self, first: int, last: int) -> "Readings":
+    def between(self, first: int, last: int) -> "FilterReadings":
         """Those of some instants."""
         parts: dict[str, Any] = {k: part[first:last] for k, part in vars(self).items() if isinstance(part, np.ndarray)}
         if self.moves is not None:
             parts["moves"] = tuple(part[first:last] for part in self.moves)
         return replace(self, **parts)
 
-    def repeated(self, count: int) -> "Readings":
+    def repeated(self, count: int) -> "FilterReadings":
         """One stretch, `count` times side by side."""
         parts: dict[str, Any] = {
             k: np.repeat(part, count, axis=-1) for k, part in vars(self).items() if isinstance(part, np.ndarray)

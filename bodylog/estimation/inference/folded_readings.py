@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...types import Array
-from .filter_records import Readings
+from .filter_records import FilterReadings
 from .folds import Fold
 
 if TYPE_CHECKING:
-    from .problem import Problem
+    from .problem import FilterProblem
 
 
-def folded_readings(problem: "Problem", fold: Fold, held: Array | None = None) -> Readings:
+def fold_readings(problem: "FilterProblem", fold: Fold, held: Array | None = None) -> FilterReadings:
     """Readings of all instants, folded, without the frames' tangents; held (E,M) bool: joints silent for long."""
     more, held = None if problem.more is None else fold.fold(problem.more, 1.0), problem.held if held is None else held
-    parts = _parts(problem, fold, *encoder_rows(problem))
-    found = Readings(*parts, reset=_forgotten(problem, fold), more=more, gate=problem.gate)
+    parts = _build_reading_parts(problem, fold, *encoder_rows(problem))
+    found = FilterReadings(*parts, reset=_mark_restarting_joints(problem, fold), more=more, gate=problem.gate)
     if held is None or problem.stationary is None or not held.any():
         return found
     dt = np.diff(problem.timeline.t, prepend=problem.timeline.t[0])
@@ -26,7 +26,7 @@ def folded_readings(problem: "Problem", fold: Fold, held: Array | None = None) -
     return replace(found, moves=(move, shift, noise))
 
 
-def _forgotten(problem: "Problem", fold: Fold) -> Array | None:
+def _mark_restarting_joints(problem: "FilterProblem", fold: Fold) -> Array | None:
     """Joints (L,M,C) bool that restart from a wide prior at an instant; None if none does."""
     events, joints = problem.resets_at(problem.timeline.t)
     if not len(events):
@@ -36,10 +36,10 @@ def _forgotten(problem: "Problem", fold: Fold) -> Array | None:
     return reset
 
 
-def _parts(
-    problem: "Problem", fold: Fold, values: Array, values_var: Array
+def _build_reading_parts(
+    problem: "FilterProblem", fold: Fold, values: Array, values_var: Array
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """The parts of `Readings`: encoder rows (E,M) with variances, and room for the frames."""
+    """The parts of `FilterReadings`: encoder rows (E,M) with variances, and room for the frames."""
     line, m = problem.timeline, len(problem.start)
     sizes = [sighting.values.shape[1] for sighting in problem.evidence.sightings]
     shape = (fold.length, len(sizes), max(sizes, default=2))
@@ -49,7 +49,7 @@ def _parts(
     return dt, fold.fold(values, np.nan), fold.fold(values_var, 1.0), y, jac, var
 
 
-def encoder_rows(problem: "Problem", until: int | None = None) -> tuple[Array, Array]:
+def encoder_rows(problem: "FilterProblem", until: int | None = None) -> tuple[Array, Array]:
     """Readings (E,M) rad, NaN where silent, and variances (E,M); the posture prior for joints without an encoder.
 
     Only of the first `until` instants, if given.

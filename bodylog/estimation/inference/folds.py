@@ -7,7 +7,7 @@ import numpy as np
 from ...types import Array
 from .kernel import LANES
 
-SHORTEST = 32
+MIN_STRETCH_INSTANTS = 32
 """Least number of instants in a stretch: its end must not depend on its start."""
 
 
@@ -43,8 +43,8 @@ class Fold:
         return np.arange(1, self.count) * self.length - 1
 
 
-def fold_for(events: int) -> Fold:
+def choose_fold(events: int) -> Fold:
     """Fold with as many stretches as the kernel filters side by side, if the log is long enough."""
-    count = min(LANES, max(1, events // SHORTEST))
+    count = min(LANES, max(1, events // MIN_STRETCH_INSTANTS))
     length = max(1, -(-events // count))
     return Fold(events, length, max(1, -(-events // length)))

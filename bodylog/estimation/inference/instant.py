@@ -8,7 +8,7 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
-from .convergence import SWEEPS
+from .convergence import MAX_SWEEPS
 
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
 WEIGHTS /= WEIGHTS.sum()
@@ -32,7 +32,7 @@ class Line(NamedTuple):
     memory: LastFrame
 
 
-def errors(x: Array, cov: Array, sights: Sequence[PendingFrame]) -> list[Array]:
+def standardise_innovations(x: Array, cov: Array, sights: Sequence[PendingFrame]) -> list[Array]:
     """Innovations (D,) of each track in standard deviations, by angles x (M,) of cov (M,M) before the instant."""
     found = []
     for sight in sights:
@@ -41,7 +41,7 @@ def errors(x: Array, cov: Array, sights: Sequence[PendingFrame]) -> list[Array]:
     return found
 
 
-def tangents(
+def find_tangent_point(
     x: Array, sights: Sequence[PendingFrame], posterior: Callable[[list[Line]], Array], resting: float
 ) -> tuple[Array, list[Line]]:
     """The point (M,) where the belief converges to `resting` rad, or moves least, and the tracks' tangents there.
@@ -50,25 +50,25 @@ def tangents(
     """
     went = last = np.zeros(len(x))
     least, best = math.inf, (x, list[Line]())
-    for _ in range(SWEEPS):
-        lines = [_tangent(sight, x) for sight in sights]
+    for _ in range(MAX_SWEEPS):
+        lines = [_linearise_frame(sight, x) for sight in sights]
         move = posterior(lines) - x
         size = max(map(abs, move.tolist()))
         if not size >= least:
             least, best = size, (x, lines)
         if size < resting:
             break
-        went, last = _accelerated(move, last, went), move
+        went, last = _accelerate_step(move, last, went), move
         x = x + went
     return best
 
 
-def _tangent(sight: PendingFrame, x: Array) -> Line:
+def _linearise_frame(sight: PendingFrame, x: Array) -> Line:
     mean, jac, _, var, memory = sight.at(x)
     return Line(jac, sight.value - mean + jac @ x, var, memory)
 
 
-def _accelerated(move: Array, last: Array, went: Array) -> Array:
+def _accelerate_step(move: Array, last: Array, went: Array) -> Array:
     """Next step (M,) from Gauss–Newton's `move`, the `last` one and the step taken then: Anderson mixing."""
     turn = move - last
     size = turn @ turn
@@ -82,30 +82,30 @@ def statistical_lines(m: int, z: Array, p: Array, sights: Sequence[PendingFrame]
     angle / of the rate), it counts √π of that, over the time between frames, as often; PERSISTENCE times more, as a
     wrong belief takes itself for a short one.
     """
-    (var, axes), rates = _spread(p[:m, :m]), p[m : 2 * m, m : 2 * m]
+    (var, axes), rates = _decompose_covariance(p[:m, :m]), p[m : 2 * m, m : 2 * m]
     if not np.trace(rates) > 0.0:
         raise np.linalg.LinAlgError(f"rates have the variance {np.trace(rates):.3g} rad²/s²")
     # above rounding, which a rate known exactly may take below 0
     rate = max(axes[:, -1] @ rates @ axes[:, -1], np.finfo(float).eps * np.trace(rates))
     lasts = PERSISTENCE * math.sqrt(math.pi * var[-1] / rate)
     often = [1.0 / math.tanh((sight.t - sight.memory.t) / lasts) for sight in sights]
-    return [line_over(sight, z[:m], p[:m, :m], one) for sight, one in zip(sights, often, strict=True)]
+    return [linearise_over_belief(sight, z[:m], p[:m, :m], one) for sight, one in zip(sights, often, strict=True)]
 
 
-def _spread(cov: Array) -> tuple[Array, Array]:
+def _decompose_covariance(cov: Array) -> tuple[Array, Array]:
     """Variances (M,) along the axes (M,M), in columns, of a covariance; above 0."""
     var, axes = np.linalg.eigh(cov)
     return np.maximum(var, np.finfo(float).tiny), axes
 
 
-def line_over(sight: PendingFrame, x: Array, cov: Array, often: float = 1.0) -> Line:
+def linearise_over_belief(sight: PendingFrame, x: Array, cov: Array, often: float = 1.0) -> Line:
     """A track's line over a belief x (M,) of cov (M,M).
 
     The residual is added as noise, as the tangent of a wide belief claims too much: along each axis of cov, by
     Gauss–Hermite quadrature, counted as `often`. Rows are rotated such that their noise is independent.
     """
     *_, own, memory = sight.at(x)
-    var, axes = _spread(cov)
+    var, axes = _decompose_covariance(cov)
     steps = np.sqrt(var)[:, None] * axes.T
     points = x + NODES[:, None, None] * steps
     g = sight.predict(points.reshape(-1, len(x)))[0].reshape(len(NODES), len(x), -1)

@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array
-from ..measurements.records import unmixed
-from .gate import FLAT, GATE
-from .problem import Problem
+from ..measurements.records import unmix_rows
+from .gate import FLAT_COST_NATS, GATE_SIGMA
+from .problem import FilterProblem
 from .solution import Smooth
 
-LEAST = 1e-3
+MIN_VARIANCE_SHARE = 1e-3
 """Least share of R that R − A is, above the rounding of A after a wide prior, which is up to 4e-5 of R."""
 
 
@@ -36,29 +36,29 @@ class LeftOut(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Judged(Smooth):
+class SmoothedWithResiduals(Smooth):
     """A smoothed log, with each reading as all others predict it."""
 
     left_out: LeftOut
 
     @staticmethod
-    def of(smooth: Smooth, found: LeftOut) -> "Judged":
+    def of(smooth: Smooth, found: LeftOut) -> "SmoothedWithResiduals":
         """The smoothed log and its readings left out one by one."""
-        return Judged(**vars(smooth), left_out=found)
+        return SmoothedWithResiduals(**vars(smooth), left_out=found)
 
 
-def left_out(problem: Problem, smooth: Smooth) -> LeftOut:
+def predict_left_out(problem: FilterProblem, smooth: Smooth) -> LeftOut:
     """The problem's readings, by a smoothed log from which some may have been removed."""
     unfold, d = smooth.fold.unfold, smooth.trace.encoder_d
     x, cov = unfold(smooth.z), unfold(smooth.cov)
-    encoders, nats = _encoders(problem, x, np.einsum("eoo->eo", cov), unfold(d), smooth.readings.gate)
-    frames = [_frames(problem, smooth, index, x, cov) for index in range(len(problem.evidence.sightings))]
+    encoders, nats = _left_out_encoders(problem, x, np.einsum("eoo->eo", cov), unfold(d), smooth.readings.gate)
+    frames = [_left_out_frames(problem, smooth, index, x, cov) for index in range(len(problem.evidence.sightings))]
     places, squares, costs, far = zip(*frames, strict=True) if frames else ((), (), (), ())
     gated = bool((np.abs(d) > smooth.readings.gate).any()) or any(some.any() for some in far)
     return LeftOut(encoders, places, (encoders * encoders, *squares), (nats, *costs), gated)
 
 
-def _encoders(problem: Problem, x: Array, var: Array, d: Array, gate: float) -> tuple[Array, Array]:
+def _left_out_encoders(problem: FilterProblem, x: Array, var: Array, d: Array, gate: float) -> tuple[Array, Array]:
     """Errors and nats (N,M); smoothed x (E,K), their variances var (E,O), innovations d (E,M), gated."""
     found, at, m = problem.evidence.encoders, problem.timeline.encoders, len(problem.start)
     if found is None:
@@ -66,15 +66,15 @@ def _encoders(problem: Problem, x: Array, var: Array, d: Array, gate: float) -> 
     read = x[at, :m] + (0.0 if problem.dynamics.offset is None else x[at, problem.dynamics.offset :])
     noise = problem.precision.encoder * (1.0 if found.relative is None else found.relative)
     used, a = np.abs(d[at]) <= gate, np.maximum(var[at, -m:], 0.0)  # rounding
-    total = np.where(used, np.maximum(noise - a, LEAST * noise), noise + a)
+    total = np.where(used, np.maximum(noise - a, MIN_VARIANCE_SHARE * noise), noise + a)
     errors = (found.values - read) / np.sqrt(total)
     removed, nats = np.isnan(d[at]) & np.isfinite(errors), np.zeros(errors.shape)
-    nats[removed] = _cost(np.square(errors[removed]), np.log(2.0 * np.pi * total[removed]))
+    nats[removed] = _removal_cost(np.square(errors[removed]), np.log(2.0 * np.pi * total[removed]))
     return errors, nats
 
 
-def _frames(
-    problem: Problem, smooth: Smooth, index: int, x: Array, cov: Array
+def _left_out_frames(
+    problem: FilterProblem, smooth: Smooth, index: int, x: Array, cov: Array
 ) -> tuple[tuple[Array, Array, Array], Array, Array, Array]:
     """Places, squares and nats of a sighting's frames, and which were gated; smoothed x (E,K) and cov (E,O,O)."""
     sighting, at, m = problem.evidence.sightings[index], problem.timeline.sightings[index], len(problem.start)
@@ -82,22 +82,22 @@ def _frames(
     removed, (mean, jac, var) = np.isnan(pick(smooth.readings.y, at)[:, index, 0]), smooth.tangents.predicted(index, x)
     std = np.sqrt(pick(smooth.readings.var, at)[:, index, : values.shape[1]] + var * removed[:, None])
     residual, h = (values - mean) / std, jac / std[..., None]  # their R is 1
-    far = ~removed & _gated(smooth, at, index)
-    a, used, one = projected(h, cov[at, :m, :m]), ~(removed | far)[:, None, None], np.eye(h.shape[1])
-    inverse, log_total = _inverse(one + np.where(used, -a, a))
+    far = ~removed & _find_gated_frames(smooth, at, index)
+    a, used, one = project_covariance(h, cov[at, :m, :m]), ~(removed | far)[:, None, None], np.eye(h.shape[1])
+    inverse, log_total = _invert_with_log_determinant(one + np.where(used, -a, a))
     scaled = np.einsum("fde,fe->fd", inverse, residual)
     square, log_size = (scaled * residual).sum(axis=1), log_total + np.log(2.0 * np.pi * std * std).sum(axis=1)
     error, spread = std * np.where(used[..., 0], scaled, residual), np.where(used, inverse - one, a)
     place = np.where(np.isfinite(error), values - error, mean)
-    nats = np.where(removed & np.isfinite(square), _cost(square, log_size), 0.0)
-    return unmixed(mix, (place, std[..., None] * spread * std[:, None], var)), square, nats, far
+    nats = np.where(removed & np.isfinite(square), _removal_cost(square, log_size), 0.0)
+    return unmix_rows(mix, (place, std[..., None] * spread * std[:, None], var)), square, nats, far
 
 
-def _inverse(symmetric: Array) -> tuple[Array, Array]:
+def _invert_with_log_determinant(symmetric: Array) -> tuple[Array, Array]:
     """Inverses of matrices (F,D,D) and the logarithms (F,) of their determinants, by the sweep operator."""
     s, log_size = np.moveaxis(symmetric, 0, -1).copy(), np.zeros(len(symmetric))
     for k in range(len(s)):
-        pivot = np.maximum(s[k, k], LEAST)
+        pivot = np.maximum(s[k, k], MIN_VARIANCE_SHARE)
         row = s[k] / pivot
         s = s - s[:, k, None] * row
         s[k], s[:, k], s[k, k] = row, row, -1.0 / pivot
@@ -105,7 +105,7 @@ def _inverse(symmetric: Array) -> tuple[Array, Array]:
     return -np.moveaxis(s, -1, 0), log_size
 
 
-def _gated(smooth: Smooth, at: Array, index: int) -> Array:
+def _find_gated_frames(smooth: Smooth, at: Array, index: int) -> Array:
     """Which frames (F,) of a sighting the forward pass rejected: their information is less than by their variance."""
     var, information, pick = smooth.readings.var, smooth.trace.information, smooth.fold.pick
     assert information is not None
@@ -113,25 +113,25 @@ def _gated(smooth: Smooth, at: Array, index: int) -> Array:
     return np.asarray(pick(information[:, first], at) * pick(var[:, index, 0], at) < 1.0 - 1e-12)
 
 
-def projected(jac: Array, cov: Array) -> Array:
+def project_covariance(jac: Array, cov: Array) -> Array:
     """J P Jᵀ (F,D,D) of jac (F,D,M) and cov (F,M,M); with frames last, products of small matrices are fast."""
     jac, cov = (np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in (jac, cov))
     found = np.einsum("dkf,ekf->fde", np.einsum("dmf,mkf->dkf", jac, cov), jac)
     return np.ascontiguousarray(found)
 
 
-def _cost(d2: Array, log_size: Array) -> Array:
+def _removal_cost(d2: Array, log_size: Array) -> Array:
     """Nats of removed readings with squares d2 and ln|2π S|: they grow with distance, as those of `outlier_cost`."""
-    over = np.fmax(d2 / GATE**2, 1.0)
-    return np.asarray(0.5 * (np.fmin(d2, GATE**2) + log_size) + FLAT * (1.0 - 1.0 / over))
+    over = np.fmax(d2 / GATE_SIGMA**2, 1.0)
+    return np.asarray(0.5 * (np.fmin(d2, GATE_SIGMA**2) + log_size) + FLAT_COST_NATS * (1.0 - 1.0 / over))
 
 
-def outliers(found: LeftOut) -> tuple[Array, ...]:
+def find_contradicted_readings(found: LeftOut) -> tuple[Array, ...]:
     """Readings that all others contradict: encoders' (N,M) bool, then frames (F,) of each sighting."""
-    return tuple(squares > GATE**2 for squares in found.squares)
+    return tuple(squares > GATE_SIGMA**2 for squares in found.squares)
 
 
-def without(problem: Problem, removed: tuple[Array, ...]) -> Problem:
+def remove_readings(problem: FilterProblem, removed: tuple[Array, ...]) -> FilterProblem:
     """The problem without the readings that are removed: encoders' (N,M) bool, then frames (F,) of each sighting."""
     evidence, (encoders, *frames) = problem.evidence, removed
     sightings = tuple(
@@ -142,7 +142,7 @@ def without(problem: Problem, removed: tuple[Array, ...]) -> Problem:
     return replace(problem, evidence=replace(evidence, encoders=rows, sightings=sightings))
 
 
-def free_energy(problem: Problem, smooth: Smooth, found: LeftOut) -> Array:
+def smoothed_free_energy(problem: FilterProblem, smooth: Smooth, found: LeftOut) -> Array:
     """Nats (E,) of a smoothed log and of the readings removed from it."""
     nats, line = smooth.fold.unfold(smooth.trace.nats).copy(), problem.timeline
     encoders, *frames = found.nats

@@ -10,15 +10,15 @@ from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline
 from ..noise.noise_model import NoiseModel
 from ..noise.posture_prior import PosturePrior
-from ..noise.visibility import views
-from .filter_records import Dynamics
-from .gate import GATE
-from .reacquisition import beside, left_open
+from ..noise.visibility import list_track_sets
+from .filter_records import FilterDynamics
+from .gate import GATE_SIGMA
+from .reacquisition import extend_open_silence, joints_left_open
 from .stationary import Stationary
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class FilterProblem:
     """One log to be filtered: evidence, instants, start of the belief, noise model.
 
     path: times (E,) s and angles (E,M) rad to linearise along first, if encoders do not give them · posture_prior: of
@@ -38,7 +38,7 @@ class Problem:
     stepwise: bool = False
     alternatives: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
     stationary: Stationary | None = None
-    gate: float = GATE
+    gate: float = GATE_SIGMA
 
     def resets_at(self, t: Array) -> tuple[Array, Array]:
         """Indices of resets among the instants t (E,) s, and their joints (R,M) bool."""
@@ -49,10 +49,10 @@ class Problem:
         return np.searchsorted(t, times[here]), joints[here]
 
     @property
-    def dynamics(self) -> Dynamics:
+    def dynamics(self) -> FilterDynamics:
         """The dynamics of the state."""
         is_prior = None if self.posture_prior is None else self.posture_prior.joints
-        return Dynamics(self.precision.process, self.precision.drift, is_prior, self.precision.order, self.stationary)
+        return FilterDynamics(self.precision.process, self.precision.drift, is_prior, self.precision.order, self.stationary)
 
     @property
     def undetermined(self) -> bool:
@@ -65,7 +65,7 @@ class Problem:
         """Silent joints (E,M) bool that images leave open at each instant; None if none ever is silent."""
         if self.stationary is None or self.evidence.encoders is None:
             return None
-        return left_open(self.timeline.t, self.evidence)
+        return joints_left_open(self.timeline.t, self.evidence)
 
     @property
     def more(self) -> Array | None:
@@ -76,8 +76,8 @@ class Problem:
         """
         fewer, usual, held = self.precision.fewer, self.precision.process, self.held
         if self.stationary is not None and held is not None and self.precision.likeliest is not None:
-            return np.where(beside(self.timeline.t, held), self.stationary.process / usual, 1.0)
+            return np.where(extend_open_silence(self.timeline.t, held), self.stationary.process / usual, 1.0)
         if not fewer:
             return None
-        found, which = views(self.evidence.sightings, self.timeline.t)
+        found, which = list_track_sets(self.evidence.sightings, self.timeline.t)
         return np.stack([fewer.get(view, usual) / usual for view in found])[which]

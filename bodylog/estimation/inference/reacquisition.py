@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from ...types import Array, Finding
-from ...wording import listed
+from ...wording import list_in_words
 from ..measurements.records import Encoders, Evidence
 from ..noise.correlated_noise import PendingFrame
-from .gate import GATE
+from .gate import GATE_SIGMA
 
 START_STD = (1.0, 1.0, 3.0)
 """rad, rad/s, rad/s²: prior standard deviations of joints before the first reading.
@@ -22,7 +22,7 @@ START_STD = (1.0, 1.0, 3.0)
 With (2, 3, 10) filters of 177 drawn logs err up to 4 % more, of (0.5, 0.3, 1) up to 5 % less, but then a robot that
 moves at first is taken for still.
 """
-SILENCE = 0.5
+LONG_SILENCE_S = 0.5
 """s: after a longer silence an encoder must confirm the belief before the gate may reject it. With 0.25 s errors of
 177 drawn logs stay; with 1 s smoothed ones are 4 % larger in silences of 2 s, and 20 % larger by a frozen encoder.
 
@@ -30,7 +30,7 @@ A live filter's readings may be as late: they come before their encoder counts a
 """
 
 
-def reacquired(
+def find_lost_joints(
     t: float, ages: Array, z: Array, p: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame],
     now: bool, order: int,
 ) -> tuple[Array | None, Array]:  # fmt: skip
@@ -41,13 +41,13 @@ def reacquired(
     deviation exceeds a turn when something is measured.
     """
     present, m = np.isfinite(readings), len(readings)
-    lost, confirmed = (p.diagonal()[:m] > math.tau**2) & (present | now), present & (ages <= SILENCE)
+    lost, confirmed = (p.diagonal()[:m] > math.tau**2) & (present | now), present & (ages <= LONG_SILENCE_S)
     if not lost.any():
-        lost, confirmed = _lost(t, ages > SILENCE, z, p, readings, var, seen, order)
+        lost, confirmed = _test_lost_joints(t, ages > LONG_SILENCE_S, z, p, readings, var, seen, order)
     return lost if lost.any() else None, confirmed
 
 
-def _lost(
+def _test_lost_joints(
     t: float, mute: Array, z: Array, p: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame], order: int
 ) -> tuple[Array, Array]:
     """Joints (M,) bool that the belief has lost, and encoders that confirm it, after some were `mute` (M,) for long.
@@ -61,14 +61,14 @@ def _lost(
         return tested, present & ~mute
     rows = np.eye(m, len(z)) + np.eye(m, len(z), order * m)
     h, nu, noise = rows[present], (readings - rows @ z)[present], np.diag(var[present])
-    x, cov = _forgotten(z, p, mute, readings, order)
+    x, cov = _restart_joints(z, p, mute, readings, order)
     total = h @ cov @ h.T + noise
     # encoders that were not mute still contradict the reset belief
-    if _nats((readings - rows @ x)[present], total) >= _nats(nu, h @ p @ h.T + noise):
+    if _innovation_nats((readings - rows @ x)[present], total) >= _innovation_nats(nu, h @ p @ h.T + noise):
         return np.zeros(m, bool), present & ~mute | tested
     gain = np.linalg.solve(total, h @ cov).T
     x, cov = x + gain @ (readings[present] - h @ x), cov - gain @ h @ cov
-    return mute & all(_agree(x, cov, m, t - sight.t, sight, order) for sight in seen.values()), present & ~mute
+    return mute & all(_agrees_with_frames(x, cov, m, t - sight.t, sight, order) for sight in seen.values()), present & ~mute
 
 
 def open_joints(ages: Array, numbers: Array | int) -> Array:
@@ -76,52 +76,52 @@ def open_joints(ages: Array, numbers: Array | int) -> Array:
 
     ages is infinite before the first reading.
     """
-    silent = np.isfinite(ages) & (ages > SILENCE)
+    silent = np.isfinite(ages) & (ages > LONG_SILENCE_S)
     return np.asarray(silent & (numbers <= silent.sum(axis=-1))[..., None])
 
 
-def silent(t: Array, encoders: Encoders) -> Array:
+def find_silent_joints(t: Array, encoders: Encoders) -> Array:
     """Joints (E,M) bool whose encoders, read before, have been silent for long at times t (E,) s."""
-    return _ages(t, encoders) > SILENCE
+    return _reading_ages(t, encoders) > LONG_SILENCE_S
 
 
-def left_open(t: Array, evidence: Evidence) -> Array:
+def joints_left_open(t: Array, evidence: Evidence) -> Array:
     """Silent joints (E,M) bool at times t (E,) s that images of the time before, with no more numbers, leave open."""
     assert evidence.encoders is not None
     seen = [(s.t[np.isfinite(s.values).all(axis=1)], s.values.shape[1]) for s in evidence.sightings]
-    numbers = sum((rows * (np.abs(_since(times, t)) <= SILENCE) for times, rows in seen), np.zeros(len(t)))
-    return open_joints(_ages(t, evidence.encoders), numbers)
+    numbers = sum((rows * (np.abs(_time_since_last(times, t)) <= LONG_SILENCE_S) for times, rows in seen), np.zeros(len(t)))
+    return open_joints(_reading_ages(t, evidence.encoders), numbers)
 
 
-def beside(t: Array, held: Array) -> Array:
+def extend_open_silence(t: Array, held: Array) -> Array:
     """Joints (E,M) bool in or shortly before or after an open silence at times t (E,) s; held (E,M) bool: in it.
 
     A joint is held only a while after its last reading.
     """
     known = [np.append(t[column], np.inf) for column in held.T]
-    return np.stack([times[np.searchsorted(times, t - SILENCE)] <= t + 2.0 * SILENCE for times in known], axis=1)
+    return np.stack([times[np.searchsorted(times, t - LONG_SILENCE_S)] <= t + 2.0 * LONG_SILENCE_S for times in known], axis=1)
 
 
-def _ages(t: Array, encoders: Encoders) -> Array:
+def _reading_ages(t: Array, encoders: Encoders) -> Array:
     """Times (E,M) s since each encoder's last reading before t (E,) s; −∞ before the first."""
-    return np.stack([_since(encoders.t[np.isfinite(column)], t) for column in encoders.values.T], axis=1)
+    return np.stack([_time_since_last(encoders.t[np.isfinite(column)], t) for column in encoders.values.T], axis=1)
 
 
-def _since(known: Array, t: Array) -> Array:
+def _time_since_last(known: Array, t: Array) -> Array:
     """Times (E,) s since the last of the `known` times (N,) before t (E,) s; −∞ before the first."""
     return np.asarray(t - np.concatenate([[np.inf], known])[np.searchsorted(known, t)])
 
 
-def named(names: tuple[str, ...], t: Array, reset: Array) -> Iterator[Finding]:
+def warn_of_resets(names: tuple[str, ...], t: Array, reset: Array) -> Iterator[Finding]:
     """A warning for joints reset at some of the instants t (E,) s, reset (E,M) bool."""
     at, joints = np.flatnonzero(reset.any(axis=1)), ", ".join(names[j] for j in np.flatnonzero(reset.any(axis=0)))
     if len(at):
-        times = listed([f"{t[k]:.3f}" for k in at], " times", unit=" s")
+        times = list_in_words([f"{t[k]:.3f}" for k in at], " times", unit=" s")
         text = f"belief: lost {joints} until {times} and reset there by the encoders; the angles just before"
         yield Finding("warning", f"{text} are wrong")
 
 
-def _forgotten(z: Array, p: Array, joints: Array, readings: Array, order: int) -> tuple[Array, Array]:
+def _restart_joints(z: Array, p: Array, joints: Array, readings: Array, order: int) -> tuple[Array, Array]:
     """A belief z (K,), p (K,K) of which `joints` (M,) bool restart from the prior, at their readings if any."""
     m, known = len(joints), joints & np.isfinite(readings)
     gone = np.concatenate([*[joints] * order, np.zeros(len(z) - order * m, bool)])
@@ -132,16 +132,16 @@ def _forgotten(z: Array, p: Array, joints: Array, readings: Array, order: int) -
     return z, p
 
 
-def _nats(nu: Array, s: Array) -> float:
+def _innovation_nats(nu: Array, s: Array) -> float:
     """Nats of innovations nu (R,) with covariance s (R,R), without constants."""
     return float(nu @ np.linalg.solve(s, nu) + np.linalg.slogdet(s)[1])
 
 
-def _agree(z: Array, p: Array, m: int, age: float, sight: PendingFrame, order: int) -> bool:
+def _agrees_with_frames(z: Array, p: Array, m: int, age: float, sight: PendingFrame, order: int) -> bool:
     """Whether a belief agrees with frames seen `age` s before."""
     states = order * m
     back = np.concatenate([np.eye(m), -age * np.eye(m), 0.5 * age**2 * np.eye(m)], axis=1)[:, :states]
     x, cov = back @ z[:states], back @ p[:states, :states] @ back.T
     mean, jac, model = sight.predicted(x)
     nu, s = sight.value - mean, jac @ cov @ jac.T + np.diag(model + sight.var)
-    return float(nu @ np.linalg.solve(s, nu)) <= GATE**2
+    return float(nu @ np.linalg.solve(s, nu)) <= GATE_SIGMA**2

@@ -11,13 +11,13 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import PendingFrame
 from ..noise.posture_prior import PosturePrior
-from .convergence import SETTLED
-from .filter_records import Dynamics
-from .gate import GATE
-from .initial_path import prior_of
-from .instant import Line, errors, statistical_lines, tangents
-from .reacquisition import SILENCE, open_joints, reacquired
-from .step import Step, Stepped
+from .convergence import CONVERGED_MOVE
+from .filter_records import FilterDynamics
+from .gate import GATE_SIGMA
+from .initial_path import state_prior
+from .instant import Line, standardise_innovations, statistical_lines, find_tangent_point
+from .reacquisition import LONG_SILENCE_S, open_joints, find_lost_joints
+from .step import FilterStep, SteppedBelief
 
 
 @dataclass(eq=False, slots=True)
@@ -47,14 +47,14 @@ class State:
 class SequentialFilter:
     """Steps from an instant to the next, with frames linearised until their point moves less than `rest` (rad)."""
 
-    def __init__(self, dynamics: Dynamics, posture: PosturePrior | None, rest: float = SETTLED) -> None:
+    def __init__(self, dynamics: FilterDynamics, posture: PosturePrior | None, rest: float = CONVERGED_MOVE) -> None:
         """Dynamics, and the posture prior of joints without an encoder."""
         self._dynamics, self._posture, self._rest = dynamics, posture, rest
-        self._steps = dict[tuple[int, int], Step]()
+        self._steps = dict[tuple[int, int], FilterStep]()
 
     def first(self, start: Array) -> State:
         """The state before any measurement, at the angles `start` (M,) rad."""
-        return State(-math.inf, *prior_of(start, self._dynamics), [-math.inf] * len(start))
+        return State(-math.inf, *state_prior(start, self._dynamics), [-math.inf] * len(start))
 
     def step(
         self, before: State, t: float, readings: Sequence[float] | Array, var: Sequence[float] | Array,
@@ -67,12 +67,12 @@ class SequentialFilter:
         dt, borne = t - before.t if before.t > -math.inf else 0.0, before.borne
         moved, held, numbers, lost = partial(self._stepped, before.z, before.p, dt, more=more), None, 0, None
         confirmed: Iterable[bool] = [reading == reading for reading in readings]
-        if not t - min(borne) <= SILENCE:
+        if not t - min(borne) <= LONG_SILENCE_S:
             ages = t - np.array(borne)
-            numbers = sum(len(frame.value) for frame in before.seen.values() if t - frame.t <= SILENCE)
+            numbers = sum(len(frame.value) for frame in before.seen.values() if t - frame.t <= LONG_SILENCE_S)
             held = found if (found := open_joints(ages, numbers)).any() else None
             prior = moved([math.nan] * len(borne), var, held=held)
-            lost, confirmed = reacquired(
+            lost, confirmed = find_lost_joints(
                 t, ages, prior.z, prior.p, np.array(readings), np.array(var), before.seen, bool(frames),
                 self._dynamics.order,
             )  # fmt: skip
@@ -84,35 +84,35 @@ class SequentialFilter:
             belief = self._see(after, belief, frames, given, numbers > 0 and held is not None)
         after.z, after.p, after.nats, after.encoder_d = belief.z, belief.p, belief.nats, belief.d.tolist()
         # an outlier confirms nothing: a belief that rejects an encoder for long is in doubt as after its silence
-        sound = (sure and not abs(x) > GATE for sure, x in zip(confirmed, after.encoder_d, strict=True))
+        sound = (sure and not abs(x) > GATE_SIGMA for sure, x in zip(confirmed, after.encoder_d, strict=True))
         after.borne = [t if sure else last for sure, last in zip(sound, borne, strict=True)]
         return after
 
     def _stepped(
         self, z: Array, p: Array, dt: float, readings: Sequence[float] | Array, var: Sequence[float] | Array,
         lines: Sequence[Line] = (), **joints: Array | None,
-    ) -> Stepped:  # fmt: skip
+    ) -> SteppedBelief:  # fmt: skip
         shape = len(lines), max((len(line.y) for line in lines), default=0)
         if shape not in self._steps:
-            self._steps[shape] = Step(self._dynamics, *shape)
+            self._steps[shape] = FilterStep(self._dynamics, *shape)
         return self._steps[shape](z, p, dt, readings, var, lines, **joints)
 
     def _see(
-        self, after: State, encoded: Stepped, frames: Mapping[Any, PendingFrame], given: Callable[..., Stepped],
+        self, after: State, encoded: SteppedBelief, frames: Mapping[Any, PendingFrame], given: Callable[..., SteppedBelief],
         adrift: bool,
-    ) -> Stepped:  # fmt: skip
+    ) -> SteppedBelief:  # fmt: skip
         """The belief by frames too, noted in the state; adrift: along statistical lines, not tangents.
 
         encoded: the belief by the encoders alone · given: the one by lines too.
         """
         m, seen = len(encoded.x), after.seen
         sights = [replace(f, memory=seen[track].memory) if track in seen else f for track, f in frames.items()]
-        after.errors = dict(zip(frames, errors(encoded.x, encoded.cov, sights), strict=True))
+        after.errors = dict(zip(frames, standardise_innovations(encoded.x, encoded.cov, sights), strict=True))
         if adrift:
             after.point, lines = encoded.z[:m], statistical_lines(m, encoded.z, encoded.p, sights)
             after.lines = dict(zip(frames, lines, strict=True))
         else:
-            after.point, lines = tangents(encoded.x, sights, lambda lines: given(lines=lines).z[:m], self._rest)
+            after.point, lines = find_tangent_point(encoded.x, sights, lambda lines: given(lines=lines).z[:m], self._rest)
         memories = (replace(sight, memory=line.memory) for sight, line in zip(sights, lines, strict=True))
         after.seen = {**seen, **dict(zip(frames, memories, strict=True))}
         return given(lines=lines)

@@ -14,46 +14,46 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
-from .convergence import ROUGHLY, SWEEPS
+from .convergence import ROUGHLY_CONVERGED_MOVE, MAX_SWEEPS
 from .folds import Fold
-from .initial_path import priors
-from .instant import line_over
-from .leave_one_out import without
-from .problem import Problem
-from .scan import Keep, scan
-from .solution import Smooth, Solution, completed
-from .walk import frames_by_instant, walk, write
+from .initial_path import stretch_priors
+from .instant import linearise_over_belief
+from .leave_one_out import remove_readings
+from .problem import FilterProblem
+from .scan import TraceDetail, filter_stretches
+from .solution import Smooth, Solution, assemble_smooth
+from .walk import frames_by_instant, filter_sequentially, write_lines
 
-BRIEF = 5.0
+BRIEF_SILENCE_S = 5.0
 """s: a longer silence starts once, as evidence of 40 sines with 10 s does not tell postures apart. Readings within as
 long on either side weigh the paths of a shorter one."""
 
 Frames = Mapping[int, Mapping[int, PendingFrame]]
 
 
-def smoothed(problem: Problem) -> Smooth:
+def smooth_across_silence(problem: FilterProblem) -> Smooth:
     """Smooth along the filter's own tangents, and open frames along lines over the smoothed belief.
 
     Residuals of lines last, so in the last pass they count as often as their silence has frames. Counted so before,
     images weigh too little to leave a wrong posture.
     """
-    alone = _alone(problem)
+    alone = _instants_left_open(problem)
     hidden = (alone[events] for events in problem.timeline.sightings)
-    solution = _across_silences(problem, walk(without(problem, (np.array(False), *hidden)), whole=True))
-    for frames in _silences(problem, alone):
-        x, cov = _mixed(*_converged(problem, *_begun(problem, solution, frames)))
+    solution = _undo_resets(problem, filter_sequentially(remove_readings(problem, (np.array(False), *hidden)), whole=True))
+    for frames in _frames_by_silence(problem, alone):
+        x, cov = _mix_beliefs(*_converge_beliefs(problem, *_start_from_cubature_points(problem, solution, frames)))
         lasted = problem.timeline.t[max(frames)] - problem.timeline.t[min(frames)]
-        _draw(solution, frames, x, cov, len(frames) * BRIEF / max(lasted, BRIEF))
-    return _passed(problem, solution)
+        _write_lines_over_beliefs(solution, frames, x, cov, len(frames) * BRIEF_SILENCE_S / max(lasted, BRIEF_SILENCE_S))
+    return _smooth_stretches(problem, solution)
 
 
-def _alone(problem: Problem) -> Array:
+def _instants_left_open(problem: FilterProblem) -> Array:
     """Instants (E,) bool at which images leave joints open whose encoders are silent, or are never read."""
     never = np.full(len(problem.timeline.t), problem.undetermined)
     return never if problem.held is None else never | problem.held.any(axis=1)
 
 
-def _across_silences(problem: Problem, solution: Solution) -> Solution:
+def _undo_resets(problem: FilterProblem, solution: Solution) -> Solution:
     """The solution without resets of joints after their silence, of which a smoother knows both sides."""
     reset, held = solution.readings.reset, problem.held
     if reset is None or held is None:
@@ -61,7 +61,7 @@ def _across_silences(problem: Problem, solution: Solution) -> Solution:
     return replace(solution, readings=replace(solution.readings, reset=reset & ~held[..., None]))
 
 
-def _silences(problem: Problem, alone: Array) -> Iterator[Frames]:
+def _frames_by_silence(problem: FilterProblem, alone: Array) -> Iterator[Frames]:
     """The frames of each run of instants `alone` (E,) bool, by instant and by track."""
     every = frames_by_instant(problem, True, len(alone)) if alone.any() else {}
     shown = np.array([k for k in sorted(every) if alone[k]], int)
@@ -70,31 +70,31 @@ def _silences(problem: Problem, alone: Array) -> Iterator[Frames]:
             yield {k: every[k] for k in part.tolist()}
 
 
-def _begun(problem: Problem, solution: Solution, frames: Frames) -> tuple[Solution, Frames]:
+def _start_from_cubature_points(problem: FilterProblem, solution: Solution, frames: Frames) -> tuple[Solution, Frames]:
     """A silence started through each cubature point, side by side, and the frames of all."""
     line, at, m = problem.timeline.t, list(frames), len(problem.start)
-    first, last = np.searchsorted(line, [line[at[0]] - BRIEF, line[at[-1]] + BRIEF])
-    length, count = last - first, 1 + 2 * m if line[at[-1]] - line[at[0]] <= BRIEF else 1
+    first, last = np.searchsorted(line, [line[at[0]] - BRIEF_SILENCE_S, line[at[-1]] + BRIEF_SILENCE_S])
+    length, count = last - first, 1 + 2 * m if line[at[-1]] - line[at[0]] <= BRIEF_SILENCE_S else 1
     fold = Fold(length * count, length, count)
-    begun = replace(solution, fold=fold, readings=solution.readings.between(first, last).repeated(count))
+    silent_solution = replace(solution, fold=fold, readings=solution.readings.between(first, last).repeated(count))
     sights = {lane * length + k - first: frames[k] for lane in range(count) for k in at}
     if count > 1:
-        x, cov, _ = _beliefs(problem, begun, sights)
+        x, cov, _ = _beliefs_at_frames(problem, silent_solution, sights)
         widest = int(np.linalg.det(cov[: len(at)]).argmax())
-        points, var = _cubature(x[widest], cov[widest]), problem.precision.encoder
-        x, cov, _ = _beliefs(problem, _through(begun, at[widest] - first, points, var), sights)
-        _draw(begun, sights, x, cov)
-    return begun, sights
+        points, var = _cubature_points(x[widest], cov[widest]), problem.precision.encoder
+        x, cov, _ = _beliefs_at_frames(problem, _with_point_readings(silent_solution, at[widest] - first, points, var), sights)
+        _write_lines_over_beliefs(silent_solution, sights, x, cov)
+    return silent_solution, sights
 
 
-def _cubature(x: Array, cov: Array) -> Array:
+def _cubature_points(x: Array, cov: Array) -> Array:
     """The mean x (M,) and the cubature points of cov (M,M), in columns (M,1+2M)."""
     var, axes = np.linalg.eigh(cov)
     steps = axes * np.sqrt(len(x) * np.maximum(var, 0.0))
     return np.asarray(x[:, None] + np.hstack([np.zeros((len(x), 1)), steps, -steps]))
 
 
-def _through(solution: Solution, at: int, points: Array, var: Array) -> Solution:
+def _with_point_readings(solution: Solution, at: int, points: Array, var: Array) -> Solution:
     """The solution with encoders that read points (M,C) at an instant, with variances var (M,)."""
     readings = solution.readings
     encoders, noise = readings.encoders.copy(), readings.encoder_var.copy()
@@ -102,19 +102,19 @@ def _through(solution: Solution, at: int, points: Array, var: Array) -> Solution
     return replace(solution, readings=replace(readings, encoders=encoders, encoder_var=noise, gate=np.inf))
 
 
-def _converged(problem: Problem, solution: Solution, frames: Frames) -> tuple[Array, Array, Array]:
+def _converge_beliefs(problem: FilterProblem, solution: Solution, frames: Frames) -> tuple[Array, Array, Array]:
     """Beliefs x (C,F,M), cov (C,F,M,M) whose lines lead to themselves, and nats (C,), of stretches side by side."""
     before = np.array(np.inf)
-    for _ in range(SWEEPS):
-        x, cov, nats = _beliefs(problem, solution, frames)
-        if (np.abs(x - before) < ROUGHLY * np.sqrt(np.einsum("fii->fi", cov))).all():
+    for _ in range(MAX_SWEEPS):
+        x, cov, nats = _beliefs_at_frames(problem, solution, frames)
+        if (np.abs(x - before) < ROUGHLY_CONVERGED_MOVE * np.sqrt(np.einsum("fii->fi", cov))).all():
             break
-        _draw(solution, frames, x, cov)
+        _write_lines_over_beliefs(solution, frames, x, cov)
         before = x
     return x.reshape(len(nats), -1, *x.shape[1:]), cov.reshape(len(nats), -1, *cov.shape[1:]), nats
 
 
-def _mixed(x: Array, cov: Array, nats: Array) -> tuple[Array, Array]:
+def _mix_beliefs(x: Array, cov: Array, nats: Array) -> tuple[Array, Array]:
     """Mean (F,M) and covariance (F,M,M) of C beliefs of these nats."""
     share = np.exp(nats.min() - nats)
     share /= share.sum()
@@ -123,25 +123,25 @@ def _mixed(x: Array, cov: Array, nats: Array) -> tuple[Array, Array]:
     return mean, np.einsum("c,cfmn->fmn", share, cov + off[..., None] * off[..., None, :])
 
 
-def _beliefs(problem: Problem, solution: Solution, frames: Frames) -> tuple[Array, Array, Array]:
+def _beliefs_at_frames(problem: FilterProblem, solution: Solution, frames: Frames) -> tuple[Array, Array, Array]:
     """Smoothed beliefs x (F,M), cov (F,M,M) at the frames of stretches side by side, and nats (C,) of each stretch."""
-    path, at, m = _passed(problem, solution), np.array(list(frames)), len(problem.start)
+    path, at, m = _smooth_stretches(problem, solution), np.array(list(frames)), len(problem.start)
     x, cov = (path.fold.pick(part, at) for part in (path.z, path.cov))
     return x[:, :m], cov[:, :m, :m], path.trace.nats.sum(axis=0)
 
 
-def _draw(solution: Solution, frames: Frames, x: Array, cov: Array, often: float = 1.0) -> None:
+def _write_lines_over_beliefs(solution: Solution, frames: Frames, x: Array, cov: Array, often: float = 1.0) -> None:
     """Write lines of frames at F instants over beliefs x (F,M) of cov (F,M,M) into a solution's readings."""
     last = dict[tuple[int, int], LastFrame]()
     for (k, sights), mean, spread in zip(frames.items(), x, cov, strict=True):
         lane = k // solution.fold.length
         sights = {track: replace(s, memory=last.get((lane, track), s.memory)) for track, s in sights.items()}
-        lines = {track: line_over(sight, mean, spread, often) for track, sight in sights.items()}
+        lines = {track: linearise_over_belief(sight, mean, spread, often) for track, sight in sights.items()}
         last |= {(lane, track): line.memory for track, line in lines.items()}
-        write(np.array([k]), lines, solution.fold, solution.readings)
+        write_lines(np.array([k]), lines, solution.fold, solution.readings)
 
 
-def _passed(problem: Problem, solution: Solution) -> Smooth:
+def _smooth_stretches(problem: FilterProblem, solution: Solution) -> Smooth:
     """The smoothed log of a solution's readings, whose stretches do not follow one another."""
-    trace = scan(solution.readings, problem.dynamics, *priors(problem, solution.fold), Keep.MEANS)
-    return completed(solution.fold, solution.readings, solution.tangents, trace, None, problem.dynamics)
+    trace = filter_stretches(solution.readings, problem.dynamics, *stretch_priors(problem, solution.fold), TraceDetail.MEANS)
+    return assemble_smooth(solution.fold, solution.readings, solution.tangents, trace, None, problem.dynamics)

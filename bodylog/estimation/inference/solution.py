@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 from ...types import Array
 from . import adjoint
-from .filter_records import Dynamics, Readings
+from .filter_records import FilterDynamics, FilterReadings
 from .folds import Fold
-from .scan import Trace
+from .scan import FilterTrace
 from .tangents import Tangents
 
 
@@ -15,9 +15,9 @@ class Solution:
     """A filtered log: fold, its linearised readings, tangents, trace."""
 
     fold: Fold
-    readings: Readings
+    readings: FilterReadings
     tangents: Tangents
-    trace: Trace
+    trace: FilterTrace
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +31,9 @@ class Smooth(Solution):
     cov: Array
 
 
-def completed(
-    fold: Fold, readings: Readings, tangents: Tangents, trace: Trace, ends: Array | None, dynamics: Dynamics
+def assemble_smooth(
+    fold: Fold, readings: FilterReadings, tangents: Tangents, trace: FilterTrace, ends: Array | None, dynamics: FilterDynamics
 ) -> Smooth:
     """The smoothed log, with covariances, of a forward pass and the adjoints (K,C) at stretches' ends, or None."""
-    x, cov = adjoint.completed(readings, trace, ends, dynamics)
+    x, cov = adjoint.smooth_with_covariances(readings, trace, ends, dynamics)
     return Smooth(fold, readings, tangents, trace.without_gains(), x, cov)

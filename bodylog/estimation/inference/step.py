@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array
-from .filter_records import Dynamics, Readings
+from .filter_records import FilterDynamics, FilterReadings
 from .instant import Line
-from .scan import empty, prepared
+from .scan import allocate_trace, prepare_filter
 
 
-class Stepped(NamedTuple):
+class SteppedBelief(NamedTuple):
     """The belief z (K,), p (K,K) after an instant, and x (M,) rad, cov (M,M) of the angles before its readings.
 
     d (M,): innovations of the encoders, in standard deviations, NaN where silent · nats of all readings.
@@ -25,28 +25,28 @@ class Stepped(NamedTuple):
     nats: float
 
 
-class Step:
+class FilterStep:
     """The belief from an instant to the next, by the encoders and by lines of T tracks with up to D rows."""
 
-    def __init__(self, dynamics: Dynamics, tracks: int = 0, rows: int = 0) -> None:
+    def __init__(self, dynamics: FilterDynamics, tracks: int = 0, rows: int = 0) -> None:
         """Dynamics with process (M,). All arrays stay where they are, so that a call only fills them."""
         m, k = len(dynamics.process), dynamics.size
         n = k // m
         self._dynamics, self._z, self._p = dynamics, np.empty((k, 1)), np.empty((k, k, 1))
         self._leaps = np.empty((1, n, n, m, 1)), np.empty((1, n, m, 1)), np.empty((1, n, n, m, 1))
         self._lost, self._more = np.empty((1, m, 1), bool), np.empty((1, m, 1))
-        self._readings = Readings(
+        self._readings = FilterReadings(
             np.empty((1, 1)), np.empty((1, m, 1)), np.empty((1, m, 1)), np.empty((1, tracks, rows, 1)),
             np.empty((1, tracks, rows, m, 1)), np.empty((1, tracks, rows, 1)), reset=self._lost, more=self._more,
             moves=self._leaps,
         )  # fmt: skip
-        self._trace = empty(self._readings, dynamics, 1)
-        self._run = prepared(self._readings, dynamics, self._z, self._p, self._trace)
+        self._trace = allocate_trace(self._readings, dynamics, 1)
+        self._run = prepare_filter(self._readings, dynamics, self._z, self._p, self._trace)
 
     def __call__(
         self, z: Array, p: Array, dt: float, encoders: Sequence[float] | Array, var: Sequence[float] | Array,
         lines: Sequence[Line] = (), *, lost: Array | None = None, held: Array | None = None, more: Array | None = None,
-    ) -> Stepped:  # fmt: skip
+    ) -> SteppedBelief:  # fmt: skip
         """The belief dt (s) after z (K,), p (K,K), given readings (M) rad, NaN where silent, with variances var (M).
 
         lines: one for each track · lost (M,) bool: joints that restart · held (M,) bool: joints silent for long · more
@@ -69,4 +69,4 @@ class Step:
             raise np.linalg.LinAlgError("rounding leaves no number")
         after = trace.z[0], trace.end_p, trace.prior[0], trace.prior_cov[0], trace.encoder_d[0]
         z, p, x, cov, d = (part[..., 0].copy() for part in after)
-        return Stepped(z, p, x, cov, d, nats)
+        return SteppedBelief(z, p, x, cov, d, nats)

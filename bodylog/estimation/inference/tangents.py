@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...types import Array
-from ..measurements.records import Sighting, mixed
-from ..noise.correlated_noise import ErrorCorrelation, directions, reach, repeated, variances
+from ..measurements.records import Sighting, mix_rows
+from ..noise.correlated_noise import ErrorCorrelation, count_directions, correlation_length, shared_model_factors, inflate_variances
 from ..noise.noise_model import NoiseModel
-from .filter_records import Readings
+from .filter_records import FilterReadings
 from .folds import Fold
 
 if TYPE_CHECKING:
-    from .problem import Problem
+    from .problem import FilterProblem
 
 
 class Tangents:
@@ -35,10 +35,10 @@ class Tangents:
         common = [one.common / getattr(one.model, "misfit", 1.0) for one in sightings]
         counted = [int(some.sum()) for some in seen]
         models = [one.model for one, share, count in zip(sightings, common, counted, strict=True) if share * count > 0]
-        distinct = directions(models, np.median(np.concatenate(points), axis=0)) if models else 1
-        self._repeated = repeated(counted, common, distinct)
+        distinct = count_directions(models, np.median(np.concatenate(points), axis=0)) if models else 1
+        self._repeated = shared_model_factors(counted, common, distinct)
 
-    def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> bool:
+    def draw(self, problem: "FilterProblem", fold: Fold, readings: FilterReadings) -> bool:
         """Write stale tangents into the readings: y = s − g + J x°, with the variances of correlated frames.
 
         Returns whether any changed.
@@ -48,24 +48,24 @@ class Tangents:
             stale = self._stale[index]
             if stale.any():
                 self._predict(index, sighting, stale)
-                _put(fold, readings.y, index, events, self._y(index), stale)
-                _put(fold, readings.jac, index, events, self._jac[index], stale)
+                _write_frames(fold, readings.y, index, events, self._y(index), stale)
+                _write_frames(fold, readings.jac, index, events, self._jac[index], stale)
                 changed = True
             elif self._weighed is problem.precision:
                 continue
             var = self._variances(index, sighting, problem.precision, self.whole)
             other = np.logical_or.reduce((np.abs(var / self._var[index] - 1.0) > 1e-9).T)  # rounding
             self._var[index][other] = var[other]
-            _put(fold, readings.var, index, events, var, other)
+            _write_frames(fold, readings.var, index, events, var, other)
             changed = changed or bool(other.any())
         self._weighed = problem.precision
         return changed
 
-    def weighed(self, problem: "Problem", fold: Fold, readings: Readings, whole: bool) -> Array:
+    def weighed(self, problem: "FilterProblem", fold: Fold, readings: FilterReadings, whole: bool) -> Array:
         """Variances (L,T,D,C) of readings, frames as in the noise model, for a smoother (`whole`) or a filter."""
         var = readings.var.copy()
         for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
-            _put(fold, var, index, events, self._variances(index, sighting, problem.precision, whole))
+            _write_frames(fold, var, index, events, self._variances(index, sighting, problem.precision, whole))
         return var
 
     def model_var(self, index: int) -> Array:
@@ -75,15 +75,15 @@ class Tangents:
     def predicted(self, index: int, x: Array) -> tuple[Array, Array, Array]:
         """Independent rows of one sighting's frames at angles x (F,M): mean, Jacobian and the model's variance."""
         jac, var, far = self._jac[index], self._model_var[index], np.abs(x - self.points[index]) > self.resting
-        mean, anew = self._intercept[index] + np.einsum("fdm,fm->fd", jac, x), far.any(axis=1)
-        if anew.any():
+        mean, relinearised = self._intercept[index] + np.einsum("fdm,fm->fd", jac, x), far.any(axis=1)
+        if relinearised.any():
             jac, var = jac.copy(), var.copy()
-            mean[anew], jac[anew], var[anew] = _rows(self._sightings[index], x[anew], anew)
+            mean[relinearised], jac[relinearised], var[relinearised] = _independent_rows(self._sightings[index], x[relinearised], relinearised)
         return mean, jac, var
 
     def _predict(self, index: int, sighting: Sighting, stale: Array) -> None:
         x = self.points[index][stale]
-        mean, self._jac[index][stale], self._model_var[index][stale] = predicted = _rows(sighting, x, stale)
+        mean, self._jac[index][stale], self._model_var[index][stale] = predicted = _independent_rows(sighting, x, stale)
         self._intercept[index][stale] = mean - np.einsum("fdm,fm->fd", predicted[1], x)
 
     def _y(self, index: int) -> Array:
@@ -94,19 +94,19 @@ class Tangents:
         """Variances (F,D), inflated such that correlated frames together do not count more than they inform."""
         var, seen = precision.scale.get(sighting.name, 1.0) * sighting.independent.var, self._seen[index]
         often, near = self._repeated[index] if whole else 1.0, precision.near.get(sighting.name, 0.0)
-        like = ErrorCorrelation(precision.process, reach(sighting.model), near, whole, precision.order)
-        var[seen] = variances(
+        like = ErrorCorrelation(precision.process, correlation_length(sighting.model), near, whole, precision.order)
+        var[seen] = inflate_variances(
             like, sighting.t[seen], sighting.values[seen], self.points[index][seen], self._jac[index][seen], var[seen],
             self._model_var[index][seen], often,
         )  # fmt: skip
         return var
 
-    def write(self, problem: "Problem", fold: Fold, readings: Readings) -> None:
+    def write(self, problem: "FilterProblem", fold: Fold, readings: FilterReadings) -> None:
         """Write all tangents into other readings of the same log."""
         for index, events in enumerate(problem.timeline.sightings):
             own = self._y(index), self._jac[index], self._var[index]
             for folded, rows in zip((readings.y, readings.jac, readings.var), own, strict=True):
-                _put(fold, folded, index, events, rows)
+                _write_frames(fold, folded, index, events, rows)
 
     def again(self, sightings: tuple[Sighting, ...]) -> "Tangents":
         """An independent copy; for other sightings of the same frames, new tangents at the same points."""
@@ -119,7 +119,7 @@ class Tangents:
         )
         return other
 
-    def follow(self, problem: "Problem", fold: Fold, means: Array) -> None:
+    def follow(self, problem: "FilterProblem", fold: Fold, means: Array) -> None:
         """Move to the angles of folded states (L,K,C) that are farther away than `resting`."""
         wanted = [fold.pick(means[:, : len(problem.start)], events) for events in problem.timeline.sightings]
         # a row of frames for each joint: numpy is slow along short axes
@@ -129,12 +129,12 @@ class Tangents:
         self.points = tuple(np.where(stale[:, None], new, old) for stale, new, old in choices)
 
 
-def _rows(sighting: Sighting, x: Array, some: Array) -> tuple[Array, Array, Array]:
+def _independent_rows(sighting: Sighting, x: Array, some: Array) -> tuple[Array, Array, Array]:
     """Mean, Jacobian and the model's variance of the independent rows of some (F,) bool of a sighting's frames."""
     mix = sighting.independent.mix
-    return mixed(mix if mix is None else mix[some], sighting.model.predict(x))
+    return mix_rows(mix if mix is None else mix[some], sighting.model.predict(x))
 
 
-def _put(fold: Fold, a: Array, index: int, events: Array, rows: Array, some: Array | slice = slice(None)) -> None:
+def _write_frames(fold: Fold, a: Array, index: int, events: Array, rows: Array, some: Array | slice = slice(None)) -> None:
     """Write some of a sighting's frames (F,D,…) into its part of the folded a (L,T,…,C)."""
     fold.put(a[:, index, : rows.shape[1]], events[some], rows[some])

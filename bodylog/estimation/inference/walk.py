@@ -6,25 +6,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
-from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, reach
-from ..noise.posture_prior import stationary
-from .convergence import ROUGHLY, SETTLED, DidNotConverge
-from .filter_records import Readings
-from .folded_readings import encoder_rows, folded_readings
-from .folds import Fold, fold_for
-from .gauss_newton import solve
-from .initial_path import priors
+from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, correlation_length
+from ..noise.posture_prior import build_stationary_motion
+from .convergence import ROUGHLY_CONVERGED_MOVE, CONVERGED_MOVE, DidNotConverge
+from .filter_records import FilterReadings
+from .folded_readings import encoder_rows, fold_readings
+from .folds import Fold, choose_fold
+from .gauss_newton import solve_by_gauss_newton
+from .initial_path import stretch_priors
 from .instant import Line
-from .problem import Problem
-from .reacquisition import SILENCE
-from .scan import Keep, scan
+from .problem import FilterProblem
+from .reacquisition import LONG_SILENCE_S
+from .scan import TraceDetail, filter_stretches
 from .sequential import SequentialFilter, State
 from .solution import Solution
 from .tangents import Tangents
 
 
 @dataclass(frozen=True, eq=False)
-class Walked:
+class SequentialPath:
     """The filtered log: points (E,M) rad of linearisation, starts z (K,C), p (K,K,C) of a fold's stretches.
 
     resets: times (R,) s of resets and their joints (R,M), or None · held (E,M) bool: joints silent for long · adrift:
@@ -41,116 +41,116 @@ class Walked:
     moments: Array | None
 
 
-def find_initial_path(problem: Problem, lost: bool = False) -> Problem:
+def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProblem:
     """Add resets, and a path to linearise along first where encoders do not give one, or the belief is `lost`."""
     line = problem.timeline.t
-    confirmed, resets = _confirmed_soon(problem)
+    confirmed, resets = _encoders_confirm_start(problem)
     confirmed = confirmed and not lost
-    if confirmed and not _quiet(problem, line[-1:]):
+    if confirmed and not _has_long_silence(problem, line[-1:]):
         return replace(problem, resets=resets)
     problem = _with_stationary(problem)
-    whole = _stepped(problem, False, ROUGHLY, _only(len(line)))
-    stepwise = not confirmed or _quiet(problem, line[:0]) or len(whole.adrift) > 0 or problem.undetermined
+    whole = _step_through_log(problem, False, ROUGHLY_CONVERGED_MOVE, _single_stretch(len(line)))
+    stepwise = not confirmed or _has_long_silence(problem, line[:0]) or len(whole.adrift) > 0 or problem.undetermined
     problem = replace(problem, path=(line, whole.points), resets=whole.resets, stepwise=stepwise)
     if problem.precision.learned is None:  # noise is not to be learned from the log
         return problem
     return _with_stationary(replace(problem, precision=replace(problem.precision, moments=whole.moments)))
 
 
-def loses_encoder(problem: Problem, solution: Solution) -> bool:
-    """Whether the belief rejects an encoder for longer than SILENCE."""
+def loses_encoder(problem: FilterProblem, solution: Solution) -> bool:
+    """Whether the belief rejects an encoder for longer than LONG_SILENCE_S."""
     if problem.evidence.encoders is None:
         return False
     t, read = problem.evidence.encoders.t[:, None], np.isfinite(problem.evidence.encoders.values)
     # NaN where a smoother has removed a reading as an outlier
     d = np.abs(solution.fold.unfold(solution.trace.encoder_d)[problem.timeline.encoders])
-    heard = d <= solution.readings.gate
-    confirmed = np.maximum.accumulate(np.where(heard, t, t[0]), axis=0)
-    return bool((read & ~heard & (t - confirmed > SILENCE)).any())
+    accepted = d <= solution.readings.gate
+    confirmed = np.maximum.accumulate(np.where(accepted, t, t[0]), axis=0)
+    return bool((read & ~accepted & (t - confirmed > LONG_SILENCE_S)).any())
 
 
-def _confirmed_soon(problem: Problem) -> tuple[bool, tuple[Array, Array] | None]:
+def _encoders_confirm_start(problem: FilterProblem) -> tuple[bool, tuple[Array, Array] | None]:
     """Whether each encoder soon confirms the belief that its first reading starts; and the resets until then."""
     encoders, line = problem.evidence.encoders, problem.timeline.t
-    soon = np.zeros((0, 1)) if encoders is None else encoders.values[encoders.t <= line[0] + SILENCE]
+    soon = np.zeros((0, 1)) if encoders is None else encoders.values[encoders.t <= line[0] + LONG_SILENCE_S]
     often, lost = np.isfinite(soon).sum(axis=0) > 1, dict[float, Array]()
     unsure = bool(often.any())
-    for state in _states(problem, False, SETTLED, int(np.searchsorted(line, line[0] + SILENCE, "right"))):
+    for state in _iterate_states(problem, False, CONVERGED_MOVE, int(np.searchsorted(line, line[0] + LONG_SILENCE_S, "right"))):
         if state.lost is not None:
             lost[state.t] = state.lost
         unsure = unsure and not np.isfinite(state.borne)[often].all()
         if not unsure:
             break
-    return not unsure, _resets(lost)
+    return not unsure, _stack_resets(lost)
 
 
-def _resets(lost: dict[float, Array]) -> tuple[Array, Array] | None:
+def _stack_resets(lost: dict[float, Array]) -> tuple[Array, Array] | None:
     return (np.array(list(lost)), np.array(list(lost.values()))) if lost else None
 
 
-def _with_stationary(problem: Problem) -> Problem:
+def _with_stationary(problem: FilterProblem) -> FilterProblem:
     """The problem with the stationary motion of joints whose encoders are silent for long."""
     models = {sighting.name: sighting.model for sighting in problem.evidence.sightings}
-    return replace(problem, stationary=stationary(models, problem.start, problem.precision))
+    return replace(problem, stationary=build_stationary_motion(models, problem.start, problem.precision))
 
 
-def walk(problem: Problem, whole: bool = False) -> Solution:
+def filter_sequentially(problem: FilterProblem, whole: bool = False) -> Solution:
     """The filter's solution; for the `whole` log in one single stretch, with what the smoother needs."""
-    events, keep = len(problem.timeline.t), Keep.MEANS if whole else Keep.BELIEFS
-    fold = _only(events) if whole else fold_for(events)
-    found = _stepped(problem, whole, SETTLED, fold)
+    events, keep = len(problem.timeline.t), TraceDetail.MEANS if whole else TraceDetail.BELIEFS
+    fold = _single_stretch(events) if whole else choose_fold(events)
+    found = _step_through_log(problem, whole, CONVERGED_MOVE, fold)
     tangents = Tangents(problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings))
-    tangents.whole, readings = whole, folded_readings(replace(problem, resets=found.resets), fold, found.held)
+    tangents.whole, readings = whole, fold_readings(replace(problem, resets=found.resets), fold, found.held)
     tangents.draw(problem, fold, readings)
     for at, state in found.adrift.items():
-        write(np.array([at]), state.lines or {}, fold, readings)
-    trace = scan(readings, problem.dynamics, found.z, found.p, keep)
+        write_lines(np.array([at]), state.lines or {}, fold, readings)
+    trace = filter_stretches(readings, problem.dynamics, found.z, found.p, keep)
     fold.put(trace.nats, np.array([*found.adrift], int), np.array([state.nats for state in found.adrift.values()]))
     return Solution(fold, readings, tangents, trace)
 
 
-def filtered(problem: Problem, warm: Solution | None = None) -> Solution:
+def filter_roughly(problem: FilterProblem, warm: Solution | None = None) -> Solution:
     """The filter's solution, roughly; instant by instant where sweeps do not converge, as after a silence."""
     try:
-        return solve(problem, warm, rest=ROUGHLY)
+        return solve_by_gauss_newton(problem, warm, rest=ROUGHLY_CONVERGED_MOVE)
     except DidNotConverge:
-        return walk(problem)
+        return filter_sequentially(problem)
 
 
-def write(at: Array, lines: Mapping[int, Line], fold: Fold, readings: Readings) -> None:
+def write_lines(at: Array, lines: Mapping[int, Line], fold: Fold, readings: FilterReadings) -> None:
     """Write the lines of tracks at one instant (1,) into the readings."""
     for track, line in lines.items():
         for folded, row in ((readings.y, line.y), (readings.jac, line.jac), (readings.var, line.var)):
             fold.put(folded[:, track, : len(row)], at, row[None])
 
 
-def _only(events: int) -> Fold:
+def _single_stretch(events: int) -> Fold:
     """One single stretch."""
     return Fold(events, events, 1)
 
 
-def _quiet(problem: Problem, end: Array) -> bool:
+def _has_long_silence(problem: FilterProblem, end: Array) -> bool:
     """Whether an encoder is silent for long; `end` (0 or 1,) s: end of the log, if that counts."""
     encoders, line = problem.evidence.encoders, problem.timeline.t
     if encoders is None:
         return len(end) > 0
     known = [np.concatenate([line[:1], encoders.t[np.isfinite(column)], end]) for column in encoders.values.T]
-    return max(float(np.diff(times).max(initial=0.0)) for times in known) > SILENCE
+    return max(float(np.diff(times).max(initial=0.0)) for times in known) > LONG_SILENCE_S
 
 
-def _stepped(problem: Problem, whole: bool, rest: float, fold: Fold) -> Walked:
+def _step_through_log(problem: FilterProblem, whole: bool, rest: float, fold: Fold) -> SequentialPath:
     """Filter the log, each frame linearised until it moves less than `rest` standard deviations."""
     line, m, size = problem.timeline.t, len(problem.start), problem.dynamics.order * len(problem.start)
     points, (means, var) = np.empty((len(line), m)), np.empty((2, len(line), size))
     held, read = np.zeros((len(line), m), bool), np.zeros(len(line), bool)
     lost, adrift = dict[float, Array](), dict[int, State]()
-    z, p = priors(problem, fold)
-    for k, state in enumerate(_states(problem, whole, rest, len(line))):
+    z, p = stretch_priors(problem, fold)
+    for k, state in enumerate(_iterate_states(problem, whole, rest, len(line))):
         if (k + 1) % fold.length == 0 and k + 1 < len(line):
             z[:, (k + 1) // fold.length], p[..., (k + 1) // fold.length] = state.z, state.p
         means[k], var[k] = state.z[:size], state.p.diagonal()[:size]
         points[k] = means[k, :m] if state.point is None else state.point
-        read[k] = state.t > line[0] + SILENCE and min(state.borne) == state.t
+        read[k] = state.t > line[0] + LONG_SILENCE_S and min(state.borne) == state.t
         if state.held is not None:
             held[k] = state.held
         if state.lost is not None:
@@ -162,10 +162,10 @@ def _stepped(problem: Problem, whole: bool, rest: float, fold: Fold) -> Walked:
     if read.any():
         squares = np.square(means[read] - np.pad(usual, (0, size - m)))
         moments = (squares.mean(axis=0) + var[read].min(axis=0)).reshape(-1, m)
-    return Walked(points, z, p, _resets(lost), held, adrift, moments)
+    return SequentialPath(points, z, p, _stack_resets(lost), held, adrift, moments)
 
 
-def _states(problem: Problem, whole: bool, rest: float, events: int) -> Iterator[State]:
+def _iterate_states(problem: FilterProblem, whole: bool, rest: float, events: int) -> Iterator[State]:
     """The states after the first `events` instants."""
     steps, more = SequentialFilter(problem.dynamics, problem.posture_prior, rest), problem.more
     readings, var = (part.tolist() for part in encoder_rows(replace(problem, posture_prior=None), events))
@@ -178,13 +178,13 @@ def _states(problem: Problem, whole: bool, rest: float, events: int) -> Iterator
         yield state
 
 
-def frames_by_instant(problem: Problem, whole: bool, before: int) -> dict[int, dict[int, PendingFrame]]:
+def frames_by_instant(problem: FilterProblem, whole: bool, before: int) -> dict[int, dict[int, PendingFrame]]:
     """Frames by instant, and by track, of the first `before` instants."""
     found: dict[int, dict[int, PendingFrame]] = {}
     precision, line = problem.precision, problem.timeline
     for track, (sighting, events) in enumerate(zip(problem.evidence.sightings, line.sightings, strict=True)):
         scale, near = precision.scale.get(sighting.name, 1.0), precision.near.get(sighting.name, 0.0)
-        like = ErrorCorrelation(precision.process, reach(sighting.model), near, whole, order=precision.order)
+        like = ErrorCorrelation(precision.process, correlation_length(sighting.model), near, whole, order=precision.order)
         values, var, mix = sighting.independent
         for row in np.flatnonzero(np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)):
             t, own = float(sighting.t[row]), None if mix is None else mix[row]

@@ -8,19 +8,19 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import LogError, UsageError
-from ...settings import Estimation
+from ...settings import EstimationSettings
 from ...types import Array, Health
-from ..faults.encoder_offset import WALKS
-from ..inference.filter_records import Dynamics
-from ..inference.reacquisition import SILENCE
+from ..faults.encoder_offset import RANDOM_WALKS
+from ..inference.filter_records import FilterDynamics
+from ..inference.reacquisition import LONG_SILENCE_S
 from ..inference.sequential import SequentialFilter, State
 from ..measurements.gather import given_start
 from ..methods.table import METHODS
 from ..noise import typed
-from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, reach
-from ..noise.noise_model import carried
-from ..noise.posture_prior import prior_of, stationary
-from .inputs import Angles, Inputs, Observation, Place, ToAngles, finite
+from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, correlation_length
+from ..noise.noise_model import carry_noise_model
+from ..noise.posture_prior import build_posture_prior, build_stationary_motion
+from .inputs import Angles, Inputs, Observation, Place, ToAngles, require_finite_time
 from .replay_buffer import Instant, ReplayBuffer
 
 
@@ -43,11 +43,11 @@ class Belief:
     joints: tuple[str, ...] = ()
 
 
-class Estimator:
+class LiveEstimator:
     """A filter fed as readings arrive: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
 
     def __init__(
-        self, body: BodyModel, settings: Estimation | None = None, lag: float = SILENCE,
+        self, body: BodyModel, settings: EstimationSettings | None = None, lag: float = LONG_SILENCE_S,
         to_angles: ToAngles = np.asarray, learned: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
         """A filter for `body` with the senses, start and bias of `settings`; readings may be up to `lag` s late.
@@ -55,17 +55,17 @@ class Estimator:
         `to_angles` converts encoder readings to angles · `learned`: settings of an estimate, whose variances are used.
         UsageError for settings that need the whole log, and for variances of another body.
         """
-        settings = settings or Estimation(precision="model", bias="off")
+        settings = settings or EstimationSettings(precision="model", bias="off")
         _needs_no_log(settings)
         if not lag >= 0:
             raise UsageError(f"lag: {lag} found, a time of at least 0 s is possible")
         self._body, self._settings, self._lag = body, settings, lag
-        typed.check(settings, body.joints, [name for name in body.senses if name != "encoders"])
-        self._noise = noise = typed.precision(carried(body, learned), settings, body.joints)
+        typed.check_typed_variances(settings, body.joints, [name for name in body.senses if name != "encoders"])
+        self._noise = noise = typed.with_typed_noise(carry_noise_model(body, learned), settings, body.joints)
         self._stated = noise.of(np.ones((len(body.joints),) * 2))
         self._inputs = Inputs(body, settings, to_angles)
         self._like = {
-            name: ErrorCorrelation(noise.process, reach(model), noise.near.get(name, 0.0), order=noise.order)
+            name: ErrorCorrelation(noise.process, correlation_length(model), noise.near.get(name, 0.0), order=noise.order)
             for name, model in self._inputs.models.items()
         }
         self._first, self._given = np.full(len(body.joints), np.nan), given_start(settings, body.joints)
@@ -84,7 +84,7 @@ class Estimator:
         latest instant. UsageError or ModelError for readings that do not fit the body. LogError until every joint has
         been read once; earlier readings are then applied together.
         """
-        return self._step_all([(finite(t), joints, places)])
+        return self._step_all([(require_finite_time(t), joints, places)])
 
     def _step_all(self, parts: Sequence[tuple[float, Angles | None, Mapping[str, Place | None]]]) -> Belief:
         """The belief after readings of several times (s): each a time, joints and places."""
@@ -133,11 +133,11 @@ class Estimator:
         if not np.isfinite(x).all():
             unknown = ", ".join(name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle))
             raise LogError(f"joints: no reading of {unknown} yet; pass every joint once, or set `start`")
-        drift = np.full(len(names), WALKS[1]) if self._settings.bias == "on" else None
+        drift = np.full(len(names), RANDOM_WALKS[1]) if self._settings.bias == "on" else None
         inputs, order = self._inputs, noise.order
-        posture = prior_of(inputs.silent, inputs.wanted, noise.process, x, order)
+        posture = build_posture_prior(inputs.silent, inputs.wanted, noise.process, x, order)
         is_prior = None if posture is None else posture.joints
-        dynamics = Dynamics(noise.process, drift, is_prior, order, stationary(inputs.wanted, x, noise))
+        dynamics = FilterDynamics(noise.process, drift, is_prior, order, build_stationary_motion(inputs.wanted, x, noise))
         steps, var, silence = SequentialFilter(dynamics, posture), noise.encoder.tolist(), [np.nan] * len(names)
 
         def step(before: State, at: Instant) -> State:
@@ -146,7 +146,7 @@ class Estimator:
         return ReplayBuffer(steps.first(x), self._lag, step)
 
 
-def _needs_no_log(settings: Estimation) -> None:
+def _needs_no_log(settings: EstimationSettings) -> None:
     """UsageError for settings that need the whole log."""
     able = tuple(name for name, method in METHODS.items() if method.live)
     possible = {"method": able, "precision": ("model",), "bias": ("off", "on")}

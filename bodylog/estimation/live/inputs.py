@@ -8,9 +8,9 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
 from ...errors import ModelError, UsageError
-from ...settings import Estimation
+from ...settings import EstimationSettings
 from ...types import Array, Health
-from ..measurements.gather import chosen
+from ..measurements.gather import choose_senses
 from ..measurements.track import pixel_variance
 from ..noise import typed
 
@@ -34,18 +34,18 @@ class Observation:
 class Inputs:
     """The senses of a body, which of them are used, and counts of each one's readings."""
 
-    def __init__(self, body: BodyModel, settings: Estimation, to_angles: ToAngles) -> None:
+    def __init__(self, body: BodyModel, settings: EstimationSettings, to_angles: ToAngles) -> None:
         """UsageError for senses in the settings that the body lacks."""
         visual = {name: model for name, model in body.senses.items() if name != "encoders"}
         touch = {"touch": visual["effector"]} if "effector" in visual else {}
-        wanted = chosen(visual, body, settings)
+        wanted = choose_senses(visual, body, settings)
         self.models: dict[str, ForwardModel] = {**visual, **touch}
         self.wanted = {name: model for name, model in self.models.items() if name in wanted}
         self.silent = np.array([name not in wanted for name in body.joints])
         self._joints, self._noise, self._to_angles = body.joints, body.noise.senses, to_angles
         self._newest_angles = np.full(len(body.joints), -np.inf)
         self._newest: dict[str, float] = {}
-        self._variance = {name: typed.of_track(settings, name) for name in self.models}
+        self._variance = {name: typed.typed_track_variance(settings, name) for name in self.models}
         self._counts: dict[str, dict[str, int]] = {}
 
     def read(self, joints: Angles | None, places: Mapping[str, Place | None]) -> Observation:
@@ -60,14 +60,14 @@ class Inputs:
                 raise ModelError(f"joints: {', '.join(given) or 'none'} found, possible: {', '.join(names)}")
             given = [given.get(name, np.nan) for name in names]
         possible = f"one angle in rad for each of {', '.join(names)}"
-        x = self._to_angles(_numbers("joints", given, (len(names),), possible))
+        x = self._to_angles(_parse_numbers("joints", given, (len(names),), possible))
         return np.where(np.isfinite(x), x, np.nan)
 
     def _place(self, name: str, given: Place) -> tuple[Array, Array]:
         if name not in self.models:
             raise UsageError(f"{name}: the body has no such sense; it has {', '.join(self.models) or 'joints alone'}")
         sizes, possible = ((4,), "") if name == "touch" else ((2, 4), "(u, v) or ")
-        found = _numbers(name, given, sizes, f"{possible}(u, v, std_u, std_v) in px")
+        found = _parse_numbers(name, given, sizes, f"{possible}(u, v, std_u, std_v) in px")
         place, std = found[:2], found[2:] if len(found) == 4 else None
         if (given_var := self._variance[name]) is not None:
             return place, np.full(2, given_var)
@@ -111,14 +111,14 @@ class Inputs:
         }
 
 
-def finite(t: float) -> float:
+def require_finite_time(t: float) -> float:
     """Return a time (s) as float; UsageError unless it is finite."""
     if not isinstance(t, int | float | np.number) or not isfinite(t):
         raise UsageError(f"t: {t!r} found, a finite time in s is possible")
     return float(t)
 
 
-def _numbers(what: str, given: Sequence[float] | Array, sizes: tuple[int, ...], possible: str) -> Array:
+def _parse_numbers(what: str, given: Sequence[float] | Array, sizes: tuple[int, ...], possible: str) -> Array:
     try:
         found = np.asarray(given, float)
     except (TypeError, ValueError):

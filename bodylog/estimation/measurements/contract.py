@@ -19,6 +19,6 @@ Sense = Callable[[Features, BodyModel], Mapping[str, Measured]]
 """Reads, by name, what the features contain and the body predicts, with any number of rows D."""
 
 
-def health(seen: int, used: int, reasons: Mapping[str, int], gap: float = 0.0) -> Health:
+def build_health(seen: int, used: int, reasons: Mapping[str, int], gap: float = 0.0) -> Health:
     """Counts of use, without the reasons of no rejection; gap: the largest, in s."""
     return Health(seen, int(used), {reason: int(count) for reason, count in reasons.items() if count}, gap)

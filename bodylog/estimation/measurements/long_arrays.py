@@ -6,9 +6,9 @@ import numpy as np
 
 from ...types import Array
 
-FEWEST = 30
+MIN_READINGS = 30
 """Readings from which a variance is known to a fourth, √(2/N): from fewer, neither noise nor a delay is sure."""
-LEVEL = 5
+LEVEL_READINGS = 5
 """Readings on each side that show a level: its shift is a jump, and a step that differs from it may be false."""
 
 
@@ -22,17 +22,17 @@ def all_of_row(mask: Array) -> Array:
     return np.asarray(reduce(np.logical_and, mask.T, np.ones(len(mask), bool)))
 
 
-def seen(values: Array) -> Array:
+def find_finite_rows(values: Array) -> Array:
     """Which rows (N,) of values (N,D) are finite throughout."""
     return all_of_row(np.isfinite(values))
 
 
-def rows(mask: Array) -> Array | slice:
+def index_true_rows(mask: Array) -> Array | slice:
     """Index of the rows where mask (N,) is True: a slice, which copies nothing, if that is all of them."""
     return slice(None) if mask.all() else np.flatnonzero(mask)
 
 
-def median(a: Array) -> float:
+def median_by_pivot(a: Array) -> float:
     """Median of finite numbers (N,), N > 0; one pivot is found several times faster than NumPy's two or three."""
     half = len(a) // 2
     parted = np.partition(a, half)
@@ -49,5 +49,5 @@ def noise_variance(values: Array, most: int = 6000) -> Array:
     middle = max(0, (len(values) - most) // 2)
     # readings of several topics are in separate rows, with NaN between them
     columns = [column[np.isfinite(column)] for column in values[middle : middle + most].T]
-    jerks = [median(np.abs(np.diff(column, 3))) if len(column) > 3 else np.nan for column in columns]
+    jerks = [median_by_pivot(np.abs(np.diff(column, 3))) if len(column) > 3 else np.nan for column in columns]
     return np.asarray(np.square(1.4826 * np.array(jerks)) / 20.0)

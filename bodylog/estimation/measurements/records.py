@@ -9,8 +9,8 @@ import numpy as np
 
 from ...body_model import ForwardModel
 from ...types import Array, Fault, Finding, Health, Hypothesis
-from ..noise.quantisation import resolved
-from .long_arrays import noise_variance, rows
+from ..noise.quantisation import quantisation_variance
+from .long_arrays import noise_variance, index_true_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,21 +26,21 @@ class Encoders:
     relative: Array | None = None
 
     def at(self, t: Array) -> Array:
-        """Readings (F,M) rad at t (F,) s, as `interpolated`."""
-        return interpolated(self.t, self.values, t)
+        """Readings (F,M) rad at t (F,) s, as `interpolate_values`."""
+        return interpolate_values(self.t, self.values, t)
 
     @cached_property
     def variance(self) -> Array:
         """Variance (M,) rad² of quantisation, or of noise where that is larger."""
-        steps = [resolved(y[np.isfinite(y)]) for y in self.values.T]
+        steps = [quantisation_variance(y[np.isfinite(y)]) for y in self.values.T]
         return np.asarray(np.fmax(steps, noise_variance(self.values)))
 
 
-def interpolated(t: Array, values: Array, at: Array) -> Array:
+def interpolate_values(t: Array, values: Array, at: Array) -> Array:
     """Values (N,D) of t (N,) s at other times (F,) s, the first or last one beyond the end; NaN without any."""
     found = np.full((len(at), values.shape[1]), np.nan)
     for own, column in zip(found.T, values.T, strict=True):
-        if len(t[known := rows(np.isfinite(column))]):
+        if len(t[known := index_true_rows(np.isfinite(column))]):
             own[:] = np.interp(at, t[known], column[known])
     return found
 
@@ -75,17 +75,17 @@ class Sighting:
         )  # fmt: skip
 
     @cached_property
-    def independent(self) -> "Rows":
+    def independent(self) -> "IndependentRows":
         """The values as independent rows: cov = L diag(var) Lᵀ, and mix = L⁻¹ has the determinant 1."""
         if self.cov is None:
-            return Rows(self.values, self.var)
+            return IndependentRows(self.values, self.var)
         root = np.linalg.cholesky(self.cov)
         scale = np.einsum("ndd->nd", root)
         mix = np.linalg.inv(root / scale[:, None])
-        return Rows((mix @ self.values[..., None])[..., 0], scale * scale, mix)
+        return IndependentRows((mix @ self.values[..., None])[..., 0], scale * scale, mix)
 
 
-class Rows(NamedTuple):
+class IndependentRows(NamedTuple):
     """Independent rows: values and var (N,D) · mix (N,D,D), which makes them from those of a sense; None for 1."""
 
     values: Array
@@ -93,7 +93,7 @@ class Rows(NamedTuple):
     mix: Array | None = None
 
 
-def mixed(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+def mix_rows(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
     """Mean (…,D), Jacobian (…,D,M) and model variance (…,D) of the rows made by mix (…,D,D); None for 1."""
     if mix is None:
         return predicted
@@ -101,7 +101,7 @@ def mixed(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tuple[Arr
     return (mix @ mean[..., None])[..., 0], mix @ jac, (mix * mix @ var[..., None])[..., 0]
 
 
-def unmixed(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+def unmix_rows(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
     """Mean (…,D), covariance (…,D,D) and model variance (…,D) of a sense's own rows, from those made by mix (…,D,D)."""
     if mix is None:
         return predicted

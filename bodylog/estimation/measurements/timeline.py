@@ -9,10 +9,10 @@ from ...types import Array
 from .long_arrays import median_step
 from .records import Evidence
 
-FASTEST = 100.0
+MAX_OUTPUT_RATE_HZ = 100.0
 """Hz: encoders faster than this are all used, but the output is on a grid of this rate, and noise is learned from means
 of so many a second, because a shorter stretch shows no acceleration."""
-BEYOND = 1_000_000
+MAX_EXTRA_INSTANTS = 1_000_000
 """A grid of so many more instants than there are stamps mostly covers silence and is refused."""
 
 
@@ -27,12 +27,12 @@ class Timeline:
     source_ns: Array
 
 
-def timeline(evidence: Evidence, rate: float | None) -> Timeline:
+def build_timeline(evidence: Evidence, rate: float | None) -> Timeline:
     """Union of all stamps and output times; equal times are one instant, so simultaneous senses have no order."""
     clock = np.empty(0) if evidence.encoders is None else evidence.encoders.t
     wanted = output_times(evidence, rate)
     regular = np.array_equal(wanted, clock)
-    t = union(clock, *(s.t for s in evidence.sightings), wanted[:0] if regular else wanted)
+    t = merge_clocks(clock, *(s.t for s in evidence.sightings), wanted[:0] if regular else wanted)
     encoders = np.searchsorted(t, clock)
     sightings = tuple(np.searchsorted(t, s.t) for s in evidence.sightings)
     outputs = encoders if regular else np.searchsorted(t, wanted)
@@ -44,28 +44,28 @@ def output_times(evidence: Evidence, rate: float | None) -> Array:
     if rate is not None and not rate > 0:
         raise UsageError(f"rate: {rate} found, a frequency above 0 Hz is possible; type --rate 100")
     clocks = [s.t for s in evidence.sightings] if evidence.encoders is None else [evidence.encoders.t]
-    t = union(*clocks)
+    t = merge_clocks(*clocks)
     if len(t) == 0:
         raise EvidenceError("joints: no sound time stamp to estimate at")
-    if rate is None and (len(t) < 2 or median_step(t) > 0.99 / FASTEST):
+    if rate is None and (len(t) < 2 or median_step(t) > 0.99 / MAX_OUTPUT_RATE_HZ):
         return t
-    rate = rate or FASTEST
+    rate = rate or MAX_OUTPUT_RATE_HZ
     _check_grid(rate, t)
-    return snapped(t[0] + np.arange(int((t[-1] - t[0]) * rate + 1e-6) + 1) / rate, t)
+    return snap_to_stamps(t[0] + np.arange(int((t[-1] - t[0]) * rate + 1e-6) + 1) / rate, t)
 
 
 def _check_grid(rate: float, t: Array) -> None:
     """UsageError for a grid of `rate` (Hz) with far more instants than the stamps t (N,) s."""
     count = (t[-1] - t[0]) * rate
-    if count > BEYOND + len(t):
+    if count > MAX_EXTRA_INSTANTS + len(t):
         at = int(np.diff(t).argmax()) if len(t) > 1 else 0
         raise UsageError(
             f"rate: {rate:g} Hz found, {count:.3g} instants for {len(t)} stamps, none of these between {t[at]:.3f} and "
-            f"{t[min(at + 1, len(t) - 1)]:.3f} s; type --rate {max(BEYOND / (t[-1] - t[0]), 1e-9):.1g} or less"
+            f"{t[min(at + 1, len(t) - 1)]:.3f} s; type --rate {max(MAX_EXTRA_INSTANTS / (t[-1] - t[0]), 1e-9):.1g} or less"
         )
 
 
-def union(*clocks: Array) -> Array:
+def merge_clocks(*clocks: Array) -> Array:
     """Distinct times (E,) of ascending clocks, in order."""
     # a stable sort merges ordered runs; np.unique would sort from scratch
     t = np.sort(np.concatenate(clocks), kind="stable")
@@ -73,13 +73,13 @@ def union(*clocks: Array) -> Array:
     return t if new.all() else t[np.append(True, new)]
 
 
-def spans(t: Array, width: float) -> Array:
+def list_span_starts(t: Array, width: float) -> Array:
     """Starts (B,) s of the spans of `width` s, counted from t[0], that contain any of ascending t (N,) s."""
     number = np.floor((t - t[:1]) / width)
     return np.asarray(t[:1] + width * number[np.append(True, number[1:] != number[:-1])[: len(t)]])
 
 
-def snapped(grid: Array, t: Array) -> Array:
+def snap_to_stamps(grid: Array, t: Array) -> Array:
     """Grid times (O,) s moved onto a stamp of t that is the same up to rounding, 1e-6 s."""
     right = np.minimum(np.searchsorted(t, grid), len(t) - 1)
     near = np.where(np.abs(t[right] - grid) <= np.abs(t[np.maximum(right - 1, 0)] - grid), right, right - 1)

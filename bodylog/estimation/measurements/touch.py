@@ -6,32 +6,32 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Features, Series, Synchrony
-from ..faults.threshold import NATS
-from .contract import Measured, health
-from .long_arrays import seen as rows_seen
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from .contract import Measured, build_health
+from .long_arrays import find_finite_rows as rows_seen
 from .records import Sighting
-from .track import ascending
+from .track import find_ascending_times
 
-APART = {
+REASONS_WITHOUT_WEIGHT = {
     "not synchronous": "not synchronous with the images",
     "no common cause": "seen elsewhere than it is felt",
 }
 """Why a touch has hardly any weight although it is paired with a stroke, and the same for a warning."""
 
 
-def read(features: Features, body: BodyModel) -> Mapping[str, Measured]:
+def read_touch(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     """Read the effector's positions by touch, where the body predicts the effector."""
     if "effector" not in body.senses:
         return {}
-    (found, count), seen = sightings(features, body), len(features.touches or ())
-    paired = sum(bool(np.isfinite(pair.delay)) and not synchronous(pair) for pair in features.synchrony)
-    apart = sum(synchronous(pair) and not has_common_cause(pair) for pair in features.synchrony)
+    (found, count), seen = read_touch_sighting(features, body), len(features.touches or ())
+    paired = sum(bool(np.isfinite(pair.delay)) and not is_synchronous(pair) for pair in features.synchrony)
+    apart = sum(is_synchronous(pair) and not has_common_cause(pair) for pair in features.synchrony)
     reasons = {"not synchronous": min(paired, seen - count), "no common cause": min(apart, seen - count)}
     reasons["no stroke seen"] = max(seen - count - paired - apart, 0)
-    return {"touch": Measured(found, health(seen, count, reasons))}
+    return {"touch": Measured(found, build_health(seen, count, reasons))}
 
 
-def sightings(features: Features, body: BodyModel) -> tuple[Sighting, int]:
+def read_touch_sighting(features: Features, body: BodyModel) -> tuple[Sighting, int]:
     """Effector by touch, positions and variances (K,2) px, px²; and how many touches are used.
 
     ln g_t = −b₁ w |g_v − o_v|² + const is a Gaussian of variance 1/(2 b₁ w) about the hand, or about the learned
@@ -41,7 +41,7 @@ def sightings(features: Features, body: BodyModel) -> tuple[Sighting, int]:
     hand, touches, count = features.hand, features.touches or (), 0
     if hand is None:
         hand = Series(np.empty(0), np.empty((0, 2)), ("u", "v"), "px", np.empty(0, np.int64))
-    sound, (_, pairs) = ascending(hand.t) & rows_seen(hand.values), strongest(features, hand.t)
+    sound, (_, pairs) = find_ascending_times(hand.t) & rows_seen(hand.values), find_strongest_touches(features, hand.t)
     places, variance = np.full(hand.values.shape, np.nan), np.ones(hand.values.shape)
     for number, pair in enumerate(features.synchrony):
         during = sound & (pairs == number)
@@ -49,15 +49,15 @@ def sightings(features: Features, body: BodyModel) -> tuple[Sighting, int]:
             u, v, spread = place_of_cell(body, touches[pair.touch].strongest)
             places[during] = hand.values[during] - (u, v)
             variance[during] = spread / pair.event_weight * during.sum()
-            count += synchronous(pair) and has_common_cause(pair)
+            count += is_synchronous(pair) and has_common_cause(pair)
     kept = rows_seen(places)
     found = (hand.t[kept], places[kept], variance[kept], hand.source_ns[kept])
     return Sighting("touch", body.senses["effector"], *found), count
 
 
-def synchronous(pair: Synchrony) -> bool:
+def is_synchronous(pair: Synchrony) -> bool:
     """Whether a touch counts as used: its weight is the likelihood of its delay, over that of none."""
-    return bool(pair.weight > np.exp(-NATS))
+    return bool(pair.weight > np.exp(-EVIDENCE_THRESHOLD_NATS))
 
 
 def has_weight(pair: Synchrony) -> bool:
@@ -78,7 +78,7 @@ def place_of_cell(body: BodyModel, cell: int) -> tuple[float, float, float]:
     return u, v, spread**2
 
 
-def strongest(features: Features, t: Array) -> tuple[Array, Array]:
+def find_strongest_touches(features: Features, t: Array) -> tuple[Array, Array]:
     """The greatest synchrony weight of touches at each time t (K,) s, 0 without one, and the pair's number, or −1."""
     weight, number, touches = np.zeros(len(t)), np.full(len(t), -1), features.touches or ()
     for k, pair in enumerate(features.synchrony if touches else ()):

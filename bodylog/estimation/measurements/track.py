@@ -6,29 +6,29 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
 from ...types import Array, Features, Series
-from .contract import Measured, health
-from .long_arrays import rows
-from .long_arrays import seen as seen_rows
+from .contract import Measured, build_health
+from .long_arrays import index_true_rows
+from .long_arrays import find_finite_rows as seen_rows
 from .records import Sighting
 
 
-def read(features: Features, body: BodyModel) -> Mapping[str, Measured]:
+def read_tracks(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     """Read every track that the body predicts, in the log's order; NaN where it was not seen."""
-    return {name: _read(name, track, body) for name, track in features.tracks.items() if name in body.senses}
+    return {name: _read_track(name, track, body) for name, track in features.tracks.items() if name in body.senses}
 
 
-def _read(name: str, track: Series, body: BodyModel) -> Measured:
-    rising, seen = ascending(track.t), seen_rows(track.values)
+def _read_track(name: str, track: Series, body: BodyModel) -> Measured:
+    rising, seen = find_ascending_times(track.t), seen_rows(track.values)
     reasons = {"time runs backwards": (~rising).sum(), "out of view": (rising & ~seen).sum()}
-    counts = health(len(track.t), (rising & seen).sum(), reasons, gap(track.t[rising & seen]))
+    counts = build_health(len(track.t), (rising & seen).sum(), reasons, find_longest_gap(track.t[rising & seen]))
     model, noise = body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
     var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
-    values, kept = np.where(seen[:, None], track.values, np.nan), rows(rising)
+    values, kept = np.where(seen[:, None], track.values, np.nan), index_true_rows(rising)
     t, values, var, source = track.t[kept], values[kept], var[kept], track.source_ns[kept]
-    return Measured(Sighting(name, model, t, values, var, source, _common(model, noise)), counts)
+    return Measured(Sighting(name, model, t, values, var, source, _common_variance_share(model, noise)), counts)
 
 
-def ascending(t: Array) -> Array:
+def find_ascending_times(t: Array) -> Array:
     """True where a time is later than all before it."""
     t = np.where(np.isfinite(t), t, -np.inf)
     if (t[1:] > t[:-1]).all() and not np.isneginf(t[:1]).any():
@@ -37,7 +37,7 @@ def ascending(t: Array) -> Array:
     return np.asarray(t > before)
 
 
-def gap(t: Array) -> float:
+def find_longest_gap(t: Array) -> float:
     """Longest time (s) between neighbours of t (N,) s."""
     return float(np.diff(t).max()) if len(t) > 1 else 0.0
 
@@ -50,7 +50,7 @@ def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> A
     return np.where(np.isfinite(std) & (std > 0), np.square(std) + beyond, fallback)
 
 
-def _common(model: ForwardModel, noise: Array) -> float:
+def _common_variance_share(model: ForwardModel, noise: Array) -> float:
     """Share of a model's variance that comes from encoder errors in exploration; `noise` (D,) px² is the pixels'."""
     spread = float(np.mean(getattr(model, "spread", 0.0)))
     pixels = float(np.mean(noise - getattr(model, "noise", 0.0)))

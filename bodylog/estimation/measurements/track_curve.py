@@ -6,24 +6,24 @@ from functools import cached_property
 import numpy as np
 
 from ...types import Array
-from .long_arrays import FEWEST, any_of_row, median, median_step, noise_variance
-from .long_arrays import seen as seen_rows
+from .long_arrays import MIN_READINGS, any_of_row, median_by_pivot, median_step, noise_variance
+from .long_arrays import find_finite_rows as seen_rows
 from .records import Encoders, Sighting
-from .timeline import spans
+from .timeline import list_span_starts
 
-MOST = 600
+MAX_CURVE_MEANS = 600
 """Most means, evenly spread."""
-BEND = 8.0
-"""s between knots of an encoder's offset, or more for at least FEWEST means on each."""
-BLUNDER = 10.0
+OFFSET_KNOT_S = 8.0
+"""s between knots of an encoder's offset, or more for at least MIN_READINGS means on each."""
+BLUNDER_MEDIANS = 10.0
 """Median residuals against neighbours beyond which a frame is left out; with 7.4 of them, the filter's gate, 9 in place
 of 10 of 12 cameras that moved by 3 px in reaches are found, as frames of fast motion are left out."""
-BLUR = 0.1
+MAX_SPEED_NOISE_SHARE = 0.1
 """Share of noise in the track's speed above which frames are averaged in pairs. Without averages 13 of 36 delays are
 measured of slow sines at 30 Hz; with averages throughout, the standard error is up to 1.3 times as large."""
-COARSE = 0.3
+MAX_FRAME_GAP_S = 0.3
 """s: frames farther apart are not interpolated: their errors would show a moved camera. With any gap 27 of 36 delays of
-reaches are measured. Averages are at most half as far apart; with COARSE itself, 198 of 200 of slow sines at 12 Hz."""
+reaches are measured. Averages are at most half as far apart; with MAX_FRAME_GAP_S itself, 198 of 200 of slow sines at 12 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class RegressionRows:
     """A regression at R instants t: misfit (R,2) on slopes (R,2,1+P), noise terms of the first slope's sums (R,).
 
     frames (R,4): numbers of the images that each misfit is interpolated from · image (R,4,2,2): its derivative with
@@ -78,24 +78,24 @@ class Rows:
     frames: Array
     image: Array
 
-    def some(self, rows: Array | slice) -> "Rows":
+    def some(self, rows: Array | slice) -> "RegressionRows":
         """Some of the instants."""
-        return Rows(*(getattr(self, name)[rows] for name in Rows.__annotations__))
+        return RegressionRows(*(getattr(self, name)[rows] for name in RegressionRows.__annotations__))
 
 
-def regression_rows(curve: Curve, late: float) -> Rows:
+def regression_rows(curve: Curve, late: float) -> RegressionRows:
     """Residuals and slopes of a curve delayed by `late` s."""
-    place, slope, value, speed, first, sound = interpolated(curve, late)
+    place, slope, value, speed, first, sound = interpolate_curve(curve, late)
     image = curve.root * np.sqrt(curve.blur / curve.images)
     blur = np.square(image).sum(axis=(1, 2))
     misfit, slope = (np.einsum("bde,be->bd", curve.root, part) for part in (curve.predicted - place, slope))
     slopes = np.concatenate([slope[..., None], curve.offsets], axis=-1)
     cross, own = blur * (value * speed).sum(axis=1), blur * np.square(speed).sum(axis=1)
     frames = first[:, None] + np.arange(4)
-    return Rows(curve.at, misfit, slopes, cross, own, frames, value[:, :, None, None] * image[:, None]).some(sound)
+    return RegressionRows(curve.at, misfit, slopes, cross, own, frames, value[:, :, None, None] * image[:, None]).some(sound)
 
 
-def interpolated(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array, Array]:
+def interpolate_curve(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Cubic through a curve delayed by `late` s: positions (B,2) px and speeds (B,2) px/s, the weights (B,4) of both in
     the four images around, the first of these (B,), and whether no gap between them is too long.
     """
@@ -109,7 +109,7 @@ def interpolated(curve: Curve, late: float) -> tuple[Array, Array, Array, Array,
 
     value = four(1 + s * s * (2 * s - 3), s * (s - 1) ** 2, s * s * (3 - 2 * s), s * s * (s - 1))
     speed = four(6 * s * (s - 1), (3 * s - 1) * (s - 1), 6 * s * (1 - s), s * (3 * s - 2)) / h[:, None]
-    close = np.maximum(np.maximum(t[i] - t[i - 1], h), t[i + 2] - t[i + 1]) <= COARSE
+    close = np.maximum(np.maximum(t[i] - t[i - 1], h), t[i + 2] - t[i + 1]) <= MAX_FRAME_GAP_S
     near = curve.places[(i - 1)[:, None] + np.arange(4)]
     place, slope = (np.einsum("bk,bkd->bd", weights, near) for weights in (value, speed))
     return place, slope, value, speed, i - 1, close & (s >= 0) & (s <= 1)
@@ -117,43 +117,43 @@ def interpolated(curve: Curve, late: float) -> tuple[Array, Array, Array, Array,
 
 def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
     """The curve of a track beside at most `most` means of encoder readings; None where either is too short."""
-    t, places, var = _clean(seen)
-    if len(t) < FEWEST or len(encoders.t) < FEWEST or (step := median_step(t)) > COARSE:
+    t, places, var = _clean_track(seen)
+    if len(t) < MIN_READINGS or len(encoders.t) < MIN_READINGS or (step := median_step(t)) > MAX_FRAME_GAP_S:
         return None
     # slightly more than a step, so that readings and frames do not stay in phase
-    at, x, count = _means(encoders, max(step, 1.0001 * median_step(encoders.t)), most)
-    if len(at) < FEWEST:
+    at, x, count = _average_span_readings(encoders, max(step, 1.0001 * median_step(encoders.t)), most)
+    if len(at) < MIN_READINGS:
         return None
     predicted, jac, model = seen.model.predict(x)
     encoder = noise_variance(encoders.values) / count
-    pieces = np.clip(np.ptp(encoders.t) / BEND, 1, len(at) // FEWEST)
+    pieces = np.clip(np.ptp(encoders.t) / OFFSET_KNOT_S, 1, len(at) // MIN_READINGS)
     knots = np.linspace(encoders.t[0], encoders.t[-1], 1 + int(pieces))
     bends = np.maximum(0.0, 1.0 - np.abs(at[:, None] - knots) / (knots[1] - knots[0]))
     # stated variance may include a model's misfit, scatter the arm's jerk: a frame's own noise is below both
     blur = np.minimum(var, noise_variance(places))
     curve = Curve(t, places, step, 1, var, blur, at, x, predicted, jac, model, encoder, bends)
-    while 4.0 * curve.step <= COARSE and len(curve.t) >= 2 * FEWEST and _blurred(curve):
-        curve = _paired(curve)
-    return curve if len(curve.t) >= FEWEST else None
+    while 4.0 * curve.step <= MAX_FRAME_GAP_S and len(curve.t) >= 2 * MIN_READINGS and _is_blurred(curve):
+        curve = _average_frame_pairs(curve)
+    return curve if len(curve.t) >= MIN_READINGS else None
 
 
-def _clean(seen: Sighting) -> tuple[Array, Array, Array]:
+def _clean_track(seen: Sighting) -> tuple[Array, Array, Array]:
     """Times (N,), positions (N,2) and typical variance (2,), without repeated frames and single blunders."""
     shown = np.flatnonzero(seen_rows(seen.values))
     shown = shown[np.append(True, any_of_row(np.diff(seen.values[shown], axis=0) != 0.0))[: len(shown)]]
     t, places = seen.t[shown], seen.values[shown]
-    if len(t) < FEWEST:
+    if len(t) < MIN_READINGS:
         return t, places, np.ones(2)
     share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
     off = np.abs(places[1:-1] - (1.0 - share) * places[:-2] - share * places[2:]).max(axis=1)
     # at either end nothing tells a false frame from a false neighbour
-    kept = np.pad(off <= BLUNDER * median(off), 1, "edge")
-    return t[kept], places[kept], np.array([median(column) for column in seen.var[shown].T])
+    kept = np.pad(off <= BLUNDER_MEDIANS * median_by_pivot(off), 1, "edge")
+    return t[kept], places[kept], np.array([median_by_pivot(column) for column in seen.var[shown].T])
 
 
-def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, Array]:
+def _average_span_readings(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, Array]:
     """Mean times (B,), angles (B,M) and counts (B,M) of readings in spans of `width` s with all joints."""
-    begins = spans(encoders.t, width)
+    begins = list_span_starts(encoders.t, width)
     begins = begins[:: max(1, -(-len(begins) // most))]
     bounds = np.searchsorted(encoders.t, np.column_stack([begins, begins + width]))
     bounds = bounds[bounds[:, 0] < bounds[:, 1]].ravel()
@@ -167,13 +167,13 @@ def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, A
     return encoders.t[0] + time[together].mean(axis=1), (total / count)[together], count[together]
 
 
-def _blurred(curve: Curve) -> bool:
+def _is_blurred(curve: Curve) -> bool:
     """Whether noise is too large a share of the curve's speed."""
     rows = regression_rows(curve, 0.0)
-    return bool(rows.own.sum() > BLUR * np.square(rows.slopes[..., 0]).sum())
+    return bool(rows.own.sum() > MAX_SPEED_NOISE_SHARE * np.square(rows.slopes[..., 0]).sum())
 
 
-def _paired(curve: Curve) -> Curve:
+def _average_frame_pairs(curve: Curve) -> Curve:
     """The curve with frames averaged in pairs."""
     even = len(curve.t) // 2 * 2
     near = np.diff(curve.t[:even])[::2] < 1.5 * curve.step

@@ -32,7 +32,7 @@ class SensedErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Dynamics:
+class CodingDynamics:
     """Constants of B runs: Δt s · σ_x (B,M) · λ (B,) 1/s · who has errors at rest, and implicit steps (B,)."""
 
     dt: float
@@ -43,7 +43,7 @@ class Dynamics:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class CodingStep:
     """One step of B runs: x̂ after it (B,M), NaN once diverged · errors e_i after it (B,R).
 
     before it: x̂ − μ (B,M), and what the senses said.
@@ -55,9 +55,9 @@ class Step:
     sensed: SensedErrors
 
 
-def descend(
-    start: Array, prior: Array, count: int, sense: Callable[[int, Array], SensedErrors], dynamics: Dynamics
-) -> Iterator[Step]:
+def descend_free_energy(
+    start: Array, prior: Array, count: int, sense: Callable[[int, Array], SensedErrors], dynamics: CodingDynamics
+) -> Iterator[CodingStep]:
     """`count` steps of B runs from beliefs `start` and prior beliefs (B,M) rad; fewer when all runs have diverged.
 
     sense(k, x): what the senses say at instant k about beliefs x (B,M).
@@ -84,7 +84,7 @@ def descend(
         errors = error + dynamics.dt * np.where(here, present.off - present.sigma * error, 0.0)
         x, mu = x + move, mu + prior_move
         x = np.where((np.abs(x).max(axis=1) < DIVERGENCE_RAD)[:, None], x, np.nan)
-        yield Step(x, errors, prior_off, sensed)
+        yield CodingStep(x, errors, prior_off, sensed)
         if not np.isfinite(x).any():
             return
 

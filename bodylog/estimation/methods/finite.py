@@ -9,31 +9,31 @@ from ...errors import EvidenceError
 from ...types import Array, Estimate
 
 
-def finite(found: Estimate) -> Estimate:
+def require_finite_estimate(found: Estimate) -> Estimate:
     """The same estimate; EvidenceError where any of its numbers is not finite, or a variance is below 0."""
-    for what, t, numbers in _numbers(found):
+    for what, t, numbers in _list_checked_numbers(found):
         good = np.asarray(np.isfinite(numbers).all(axis=tuple(range(1, numbers.ndim))))
         if not good.all():
             at, bad = float(t[good.argmin()]), len(good) - np.count_nonzero(good)
-            raise _contradiction(f"{what} at {at:.3f} s is not a number by {found.method} ({bad} of {len(good)}):")
+            raise _contradiction_error(f"{what} at {at:.3f} s is not a number by {found.method} ({bad} of {len(good)}):")
     return found
 
 
 @contextmanager
-def solvable(method: str) -> Iterator[None]:
+def report_numerical_errors(method: str) -> Iterator[None]:
     """EvidenceError if numerical errors prevent an estimate."""
     try:
         yield
     except np.linalg.LinAlgError as problem:
-        raise _contradiction(f"no estimate by {method}: {problem};") from None
+        raise _contradiction_error(f"no estimate by {method}: {problem};") from None
 
 
-def _contradiction(what: str) -> EvidenceError:
+def _contradiction_error(what: str) -> EvidenceError:
     advice = "type --method kalman, or --without a sense"
     return EvidenceError(f"{what} the readings may contradict each other or the body; {advice}")
 
 
-def _numbers(found: Estimate) -> Iterator[tuple[str, Array, Array]]:
+def _list_checked_numbers(found: Estimate) -> Iterator[tuple[str, Array, Array]]:
     """Numbers (N,…) to check, with their times (N,) s; NaN where a variance is below 0."""
     t, cov = found.joints.t, np.where(np.einsum("nii->ni", found.cov)[..., None] < 0.0, np.nan, found.cov)
     of_joints = {"angle": found.joints.values, "rate": found.rate.values, "variance": cov}

@@ -8,25 +8,25 @@ from typing import Any
 import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
-from ...settings import Estimation
+from ...settings import EstimationSettings
 from ...types import Array, Features, Finding
-from ..faults.screening import screened
-from ..measurements.gather import start
-from ..measurements.records import Encoders, Evidence, Sighting, interpolated
-from ..measurements.timeline import Timeline, timeline
+from ..faults.screening import screen_measurements
+from ..measurements.gather import choose_initial_angles
+from ..measurements.records import Encoders, Evidence, Sighting, interpolate_values
+from ..measurements.timeline import Timeline, build_timeline
 from ..noise import typed
-from ..noise.noise_model import PAPER, resolve, warned
-from .paper_touch import Literal, literal
+from ..noise.noise_model import PAPER_VARIANCES, resolve_noise_model, warn_of_few_readings
+from .paper_touch import PaperTouch, build_paper_touch
 from .results import Beliefs
 
-RATE = 20.0
+GRID_RATE_HZ = 20.0
 """Hz: the paper's Δt of 0.05 s."""
-GAINS = np.linspace(0.05, 0.95, 19)
+TRIED_GAINS = np.linspace(0.05, 0.95, 19)
 """Gains tried for a static belief."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sense:
+class GridSense:
     """One sense on the grid: s (N,D), NaN where absent · model (None: the angles themselves) · σ (N,D) · unit of s.
 
     `printed`: the model's own variance is dropped, as the paper drops it.
@@ -48,15 +48,15 @@ class Sense:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class GridProblem:
     """What to integrate: senses, touch as printed, grid t (N,) s, Δt s, σ_x (M,), start (M,).
 
     moved (M,) rad²: variance of the motion until the next reading · postures (P,M) rad: the start, and all readings ·
     learning: λ, 1/s, the rate at which the prior follows the belief; 1 is the paper's.
     """
 
-    senses: tuple[Sense, ...]
-    touch: Literal | None
+    senses: tuple[GridSense, ...]
+    touch: PaperTouch | None
     t: Array
     dt: float
     sigma_x: Array
@@ -66,7 +66,7 @@ class Plan:
     learning: float = 1.0
 
     @property
-    def encoders(self) -> Sense | None:
+    def encoders(self) -> GridSense | None:
         """The sense of encoders, if there is one."""
         return next((sense for sense in self.senses if sense.name == "encoders"), None)
 
@@ -85,65 +85,65 @@ class Plan:
         return g, jac, own
 
 
-def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple[Plan, Evidence, Timeline]:
+def build_grid_problem(features: Features, body: BodyModel, settings: EstimationSettings) -> tuple[GridProblem, Evidence, Timeline]:
     """Senses on the grid with their variances: the paper's by preset, else by `precision`."""
     if settings.preset == "paper":
         settings = replace(settings, precision="fixed", touch="literal")
     # faults are reported, but their readings are used as in the paper
-    evidence = warned(screened(features, body, settings, repairs=False), body, settings)
-    rate = settings.rate or RATE
-    line = timeline(evidence, rate)
+    evidence = warn_of_few_readings(screen_measurements(features, body, settings, repairs=False), body, settings)
+    rate = settings.rate or GRID_RATE_HZ
+    line = build_timeline(evidence, rate)
     t, paper = line.t[line.outputs], settings.precision == "fixed"
-    noise = typed.precision(resolve(evidence, body, settings), settings, body.joints)
-    encoders = None if evidence.encoders is None else _encoders(evidence.encoders, body, t, noise.encoder, paper)
-    gains = PAPER[0] / (PAPER[0] + noise.encoder[None]) if paper else np.tile(GAINS[:, None], len(noise.encoder))
-    sigma_x, moved = _wander(encoders, noise.encoder, gains)
+    noise = typed.with_typed_noise(resolve_noise_model(evidence, body, settings), settings, body.joints)
+    encoders = None if evidence.encoders is None else _build_encoder_sense(evidence.encoders, body, t, noise.encoder, paper)
+    gains = PAPER_VARIANCES[0] / (PAPER_VARIANCES[0] + noise.encoder[None]) if paper else np.tile(TRIED_GAINS[:, None], len(noise.encoder))
+    sigma_x, moved = _learn_static_variances(encoders, noise.encoder, gains)
     felt = settings.touch == "literal" and any(s.name == "touch" for s in evidence.sightings)
     width = image_width(features, body) if paper else None
-    seen = [s for s in typed.sightings(evidence.sightings, settings) if not (felt and s.name == "touch")]
+    seen = [s for s in typed.with_typed_variances(evidence.sightings, settings) if not (felt and s.name == "touch")]
     senses = [] if encoders is None else [encoders]
-    senses += [_visual(s, t, noise.scale.get(s.name, 1.0), width, typed.of_track(settings, s.name)) for s in seen]
-    touch = literal(features, body, t, 1.0 / rate) if felt else None
-    learning = Plan.learning if settings.lambda_ is None else settings.lambda_
-    first = start(evidence, settings, body.joints)
+    senses += [_build_visual_sense(s, t, noise.scale.get(s.name, 1.0), width, typed.typed_track_variance(settings, s.name)) for s in seen]
+    touch = build_paper_touch(features, body, t, 1.0 / rate) if felt else None
+    learning = GridProblem.learning if settings.lambda_ is None else settings.lambda_
+    first = choose_initial_angles(evidence, settings, body.joints)
     angles = encoders is not None and encoders.model is None
     read = evidence.encoders.values if evidence.encoders is not None and angles else first[None]
     postures = np.concatenate([first[None], read[np.isfinite(read).all(axis=1)]])
-    return Plan(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, moved, postures, learning), evidence, line
+    return GridProblem(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, moved, postures, learning), evidence, line
 
 
-def _encoders(found: Encoders, body: BodyModel, t: Array, variance: Array, printed: bool) -> Sense:
-    s, _ = on_grid(found.t, found.values, t)
-    return Sense("encoders", s, body.senses.get("encoders"), np.broadcast_to(variance, s.shape), printed=printed)
+def _build_encoder_sense(found: Encoders, body: BodyModel, t: Array, variance: Array, printed: bool) -> GridSense:
+    s, _ = place_on_grid(found.t, found.values, t)
+    return GridSense("encoders", s, body.senses.get("encoders"), np.broadcast_to(variance, s.shape), printed=printed)
 
 
-def _visual(found: Sighting, t: Array, scale: float, width: float | None, given: float | None) -> Sense:
+def _build_visual_sense(found: Sighting, t: Array, scale: float, width: float | None, given: float | None) -> GridSense:
     """A track or touch; in image widths with the paper's variance if `width` (px), and no variance, is given."""
-    s, rows = on_grid(found.t, found.values, t)
+    s, rows = place_on_grid(found.t, found.values, t)
     if width is None:
-        return Sense(found.name, s, found.model, scale * found.var[rows])
+        return GridSense(found.name, s, found.model, scale * found.var[rows])
     own = found.name == "touch" or given is not None
-    sigma = found.var[rows] / width**2 if own else np.full(s.shape, PAPER[2])
-    return Sense(found.name, s / width, found.model, sigma, width, printed=True)
+    sigma = found.var[rows] / width**2 if own else np.full(s.shape, PAPER_VARIANCES[2])
+    return GridSense(found.name, s / width, found.model, sigma, width, printed=True)
 
 
-def on_grid(t: Array, values: Array, grid: Array) -> tuple[Array, Array]:
+def place_on_grid(t: Array, values: Array, grid: Array) -> tuple[Array, Array]:
     """Values (N,D) at the grid times, each row of (t, values) used once, at the nearest; the rows' indices (N,).
 
     A row is moved to its grid time along the line to its neighbour; NaN where no row is nearest.
     """
-    rows = nearest(t, grid)
-    mine = (nearest(grid, t)[rows] == np.arange(len(grid)))[:, None] & np.isfinite(values[rows])
-    return np.where(mine, interpolated(t, values, grid), np.nan), rows
+    rows = find_nearest_index(t, grid)
+    mine = (find_nearest_index(grid, t)[rows] == np.arange(len(grid)))[:, None] & np.isfinite(values[rows])
+    return np.where(mine, interpolate_values(t, values, grid), np.nan), rows
 
 
-def nearest(t: Array, at: Array) -> Array:
+def find_nearest_index(t: Array, at: Array) -> Array:
     """Index (N,) of the time in ascending t nearest to each of `at`."""
     return np.asarray(np.searchsorted(0.5 * (t[1:] + t[:-1]), at))
 
 
-def at_instants(
-    line: Timeline, evidence: Evidence, encoders: Sense | None, x: Array, cov: Array, moved: Array, nats: Array,
+def beliefs_at_instants(
+    line: Timeline, evidence: Evidence, encoders: GridSense | None, x: Array, cov: Array, moved: Array, nats: Array,
     settings: Mapping[str, Any], findings: tuple[Finding, ...] = (),
 ) -> Beliefs:  # fmt: skip
     """Beliefs x (N,M) on the grid, held until the next, at every instant; `moved` (N,M,M): their covariance by then."""
@@ -168,7 +168,7 @@ def image_width(features: Features, body: BodyModel) -> float:
     return float(max(seen, default=1.0))
 
 
-def _wander(encoders: Sense | None, noise: Array, gains: Array) -> tuple[Array, Array]:
+def _learn_static_variances(encoders: GridSense | None, noise: Array, gains: Array) -> tuple[Array, Array]:
     """σ_x (M,), and by how much (M,) rad² encoders then deviate from a static belief, beyond their noise (M,).
 
     σ_x is the motion variance with which the belief predicts the next reading best, at one of the gains (G,M).

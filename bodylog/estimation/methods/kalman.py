@@ -6,35 +6,35 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import UsageError
-from ...settings import Estimation
+from ...settings import EstimationSettings
 from ...types import Array, Estimate, Features
-from ..faults.screening import screened
-from ..measurements.gather import start
-from ..measurements.timeline import timeline
-from ..noise.noise_model import PAPER
+from ..faults.screening import screen_measurements
+from ..measurements.gather import choose_initial_angles
+from ..measurements.timeline import build_timeline
+from ..noise.noise_model import PAPER_VARIANCES
 from . import results
-from .grid import RATE, Sense, at_instants, on_grid
+from .grid import GRID_RATE_HZ, GridSense, beliefs_at_instants, place_on_grid
 
-PROCESS = 0.001
+STEP_VARIANCE_RAD2 = 0.001
 """rad² per step: motion, as printed."""
 
 
-def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+def estimate_by_kalman_filter(features: Features, body: BodyModel, settings: EstimationSettings) -> Estimate:
     """The belief on the paper's grid of 20 Hz, or `rate`; EvidenceError without encoders."""
     # faults are reported, but their readings are used as in the paper
-    evidence = screened(features, body, replace(settings, senses=_encoders(body, settings)), repairs=False)
+    evidence = screen_measurements(features, body, replace(settings, senses=_choose_encoders(body, settings)), repairs=False)
     assert evidence.encoders is not None
-    line = timeline(evidence, settings.rate or RATE)
-    s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, line.t[line.outputs])
-    noise = PAPER[1]
-    x, var, nats = static(s, start(evidence, settings, body.joints), noise)
-    cov, moved = (v[:, :, None] * np.eye(s.shape[1]) for v in (var, var + PROCESS))
-    read = Sense("encoders", s, None, np.full(s.shape, noise))
-    beliefs = at_instants(line, evidence, read, x, cov, moved, nats, {"process": PROCESS, "encoder": noise})
-    return results.estimate("kalman", body, evidence, line, beliefs)
+    line = build_timeline(evidence, settings.rate or GRID_RATE_HZ)
+    s, _ = place_on_grid(evidence.encoders.t, evidence.encoders.values, line.t[line.outputs])
+    noise = PAPER_VARIANCES[1]
+    x, var, nats = filter_static_angles(s, choose_initial_angles(evidence, settings, body.joints), noise)
+    cov, moved = (v[:, :, None] * np.eye(s.shape[1]) for v in (var, var + STEP_VARIANCE_RAD2))
+    read = GridSense("encoders", s, None, np.full(s.shape, noise))
+    beliefs = beliefs_at_instants(line, evidence, read, x, cov, moved, nats, {"process": STEP_VARIANCE_RAD2, "encoder": noise})
+    return results.build_estimate("kalman", body, evidence, line, beliefs)
 
 
-def _encoders(body: BodyModel, settings: Estimation) -> tuple[str, ...]:
+def _choose_encoders(body: BodyModel, settings: EstimationSettings) -> tuple[str, ...]:
     """The encoders allowed by the settings, by joint or all."""
     other = [name for name in settings.senses or () if name not in ("encoders", *body.joints)]
     if other:
@@ -45,13 +45,13 @@ def _encoders(body: BodyModel, settings: Estimation) -> tuple[str, ...]:
     return settings.senses or ("encoders",)
 
 
-def static(s: Array, x: Array, noise: float) -> tuple[Array, Array, Array]:
+def filter_static_angles(s: Array, x: Array, noise: float) -> tuple[Array, Array, Array]:
     """Belief and variance (N,M) after each row of s (N,M), NaN where silent, of variance `noise`, and nats (N,)."""
     var, n = np.full(len(x), noise), len(s)
     after, after_var, nats = np.empty(s.shape), np.empty(s.shape), np.empty(n)
     present = np.isfinite(s)
     for k in range(n):
-        var = var + PROCESS
+        var = var + STEP_VARIANCE_RAD2
         total, nu = var + noise, np.where(present[k], s[k] - x, 0.0)
         nats[k] = 0.5 * (np.log(2 * np.pi * total) + nu**2 / total)[present[k]].sum()
         gain = present[k] * var / total

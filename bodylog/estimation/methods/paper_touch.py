@@ -6,11 +6,11 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel, TouchConstants
 from ...types import Array, Features
-from ..measurements.touch import strongest
+from ..measurements.touch import find_strongest_touches
 
 
 @dataclass(frozen=True, eq=False)
-class Literal:
+class PaperTouch:
     """On a grid: active (N,) · hand (N,2) px · f_t (N,) temporal coherence; with the model and constants it needs."""
 
     model: ForwardModel
@@ -38,11 +38,11 @@ def spatial_coherence(apart: Array, jac: Array, best: Array, b1: Array) -> tuple
     return g, -2.0 * (b1 * g)[:, None] * np.einsum("bd,bdm->bm", apart, jac)
 
 
-def literal(features: Features, body: BodyModel, t: Array, dt: float) -> Literal:
+def build_paper_touch(features: Features, body: BodyModel, t: Array, dt: float) -> PaperTouch:
     """Touch, of which there is a sighting, on the grid t (N,) s."""
     hand = features.hand
     assert hand is not None
     rows = np.maximum(np.searchsorted(hand.t, t + 1e-9, "right") - 1, 0)
     seen = np.isfinite(hand.values[rows]).all(axis=1) & (np.abs(t - hand.t[rows]) < max(dt, 0.2))
-    temporal, _ = strongest(features, t)
-    return Literal(body.senses["effector"], body.touch, seen & (temporal > 0), hand.values[rows], temporal)
+    temporal, _ = find_strongest_touches(features, t)
+    return PaperTouch(body.senses["effector"], body.touch, seen & (temporal > 0), hand.values[rows], temporal)

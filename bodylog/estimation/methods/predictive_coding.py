@@ -7,23 +7,23 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import UsageError
-from ...settings import Estimation
+from ...settings import EstimationSettings
 from ...types import Array, Estimate, Features, Finding
-from ..measurements.gather import silent
+from ..measurements.gather import list_unread_joints
 from ..measurements.records import Evidence
 from . import results
-from .algorithm1 import DIVERGENCE_RAD, Dynamics, SensedErrors, descend, gauss_newton_hessian
-from .grid import GAINS, Plan, at_instants, plan_for
+from .algorithm1 import DIVERGENCE_RAD, CodingDynamics, SensedErrors, descend_free_energy, gauss_newton_hessian
+from .grid import TRIED_GAINS, GridProblem, beliefs_at_instants, build_grid_problem
 
 SIGMA_T = 1.0
 """σ_t, which is not printed: as σ_x and σ_p."""
 
 
-def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+def estimate_by_predictive_coding(features: Features, body: BodyModel, settings: EstimationSettings) -> Estimate:
     """The belief on a grid of 20 Hz or `rate`; UsageError when an explicit step diverges."""
-    plan, evidence, line = plan_for(features, body, settings)
+    plan, evidence, line = build_grid_problem(features, body, settings)
     explicit = settings.step == "explicit" or settings.preset == "paper"
-    x, cov, nats = descended(plan, explicit)
+    x, cov, nats = integrate_belief(plan, explicit)
     findings = step_warning(plan) if explicit else ()
     if not np.isfinite(x).all():
         why = findings[0].text if findings else "step: explicit; type --step implicit"
@@ -32,18 +32,18 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     steps = {"step": "explicit" if explicit else "implicit", "dt": plan.dt, "sigma_x": plan.sigma_x.tolist()}
     used = steps | {f"sigma_{s.name}": np.median(s.sigma, axis=0).tolist() for s in plan.senses}
     moved = np.maximum(np.einsum("nii->ni", cov), plan.moved)[:, :, None] * np.eye(x.shape[1])
-    beliefs = at_instants(line, evidence, plan.encoders, x, cov, moved, nats, used, findings)
-    return results.estimate("predictive-coding", body, evidence, line, beliefs)
+    beliefs = beliefs_at_instants(line, evidence, plan.encoders, x, cov, moved, nats, used, findings)
+    return results.build_estimate("predictive-coding", body, evidence, line, beliefs)
 
 
-def descended(plan: Plan, explicit: bool) -> tuple[Array, Array, Array]:
+def integrate_belief(plan: GridProblem, explicit: bool) -> tuple[Array, Array, Array]:
     """x (N,M), NaN once diverged, covariance (N,M,M) as inverse Hessian, and free energy (N,) nats before each step."""
     m, n = len(plan.start), len(plan.t)
     xs, cov, nats = np.full((n, m), np.nan), np.full((n, m, m), np.nan), np.full(n, np.nan)
     kind = np.array([not explicit])
-    dynamics = Dynamics(plan.dt, plan.sigma_x[None], np.array([plan.learning]), at_rest=kind, implicit=kind)
+    dynamics = CodingDynamics(plan.dt, plan.sigma_x[None], np.array([plan.learning]), at_rest=kind, implicit=kind)
     start = plan.start[None]
-    for k, step in enumerate(descend(start, start, n, partial(_sensed, plan), dynamics)):
+    for k, step in enumerate(descend_free_energy(start, start, n, partial(_evaluate_senses, plan), dynamics)):
         present = step.sensed.present()
         here = np.isfinite(step.sensed.off[0])
         xs[k] = step.x[0]
@@ -55,7 +55,7 @@ def descended(plan: Plan, explicit: bool) -> tuple[Array, Array, Array]:
     return xs, cov, nats
 
 
-def _sensed(plan: Plan, k: int, x: Array) -> SensedErrors:
+def _evaluate_senses(plan: GridProblem, k: int, x: Array) -> SensedErrors:
     """What the plan's senses say at instant k about one belief (1,M)."""
     (g, jac, own), (s, sigma) = plan.predict(x[0]), (part[k] for part in plan.rows)
     off, variance = s - g, sigma + own
@@ -65,13 +65,13 @@ def _sensed(plan: Plan, k: int, x: Array) -> SensedErrors:
     return SensedErrors(off[None], jac[None], variance[None])
 
 
-def step_warning(plan: Plan) -> tuple[Finding, ...]:
+def step_warning(plan: GridProblem) -> tuple[Finding, ...]:
     """A finding if Δt exceeds the stable step of Algorithm 1, with the slowest stable rate."""
     if plan.dt <= stable_step(plan):
         return ()
     # a learned σ_x is smaller on a finer grid
     if plan.encoders is not None and not plan.encoders.printed:
-        least = plan.encoders.sigma.min(axis=0) * GAINS[0] / (1.0 - GAINS[0])
+        least = plan.encoders.sigma.min(axis=0) * TRIED_GAINS[0] / (1.0 - TRIED_GAINS[0])
         plan = replace(plan, sigma_x=np.minimum(plan.sigma_x, least))
     rate = 1.0 / stable_step(plan)
     unit = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
@@ -80,16 +80,16 @@ def step_warning(plan: Plan) -> tuple[Finding, ...]:
     return (Finding("warning", f"step: {text}; type --rate {rate:g} or --step implicit"),)
 
 
-def _without_encoders(plan: Plan, evidence: Evidence, names: tuple[str, ...]) -> tuple[Finding, ...]:
+def _without_encoders(plan: GridProblem, evidence: Evidence, names: tuple[str, ...]) -> tuple[Finding, ...]:
     """A finding for joints without encoder readings, because σ_x is learned from encoders."""
-    still = ", ".join(silent(names, evidence.encoders))
+    still = ", ".join(list_unread_joints(names, evidence.encoders))
     if not still or all(sense.printed for sense in plan.senses):
         return ()
     text = f"knows no motion of {still} without encoders: errors are far beyond its error bars; type --method laplace"
     return (Finding("warning", f"predictive-coding: {text}"),)
 
 
-def stable_step(plan: Plan) -> float:
+def stable_step(plan: GridProblem) -> float:
     """Largest Δt (s) for which one explicit step shrinks every mode, linearised at every posture of the log."""
     predicted = [sense.predict(plan.postures) for sense in plan.senses]
     n, m = plan.postures.shape

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from ...body_model import BodyModel
-from ...settings import Estimation
+from ...settings import EstimationSettings
 from ...types import LASTING_ERROR, Array, Estimate, Fault, Finding, Series
-from ..inference.leave_one_out import projected
-from ..inference.problem import Problem
-from ..measurements.long_arrays import seen as seen_rows
+from ..inference.leave_one_out import project_covariance
+from ..inference.problem import FilterProblem
+from ..measurements.long_arrays import find_finite_rows as seen_rows
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
 from ..noise.lasting_error import FrameBelief, find_lasting_error
@@ -40,7 +40,7 @@ class Beliefs:
     places: tuple[tuple[Array, Array, Array], ...] = ()
 
 
-def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, beliefs: Beliefs) -> Estimate:
+def build_estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, beliefs: Beliefs) -> Estimate:
     """The public record of one method's beliefs."""
     m, at = len(body.joints), line.outputs
     t, z = line.t[at], beliefs.z[at]
@@ -49,9 +49,9 @@ def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, b
         return Series(t, values, body.joints, unit, line.source_ns)
 
     both = zip(evidence.sightings, line.sightings, strict=True)
-    places = beliefs.places or tuple(predicted(s, beliefs.before[at], beliefs.before_cov[at]) for s, at in both)
+    places = beliefs.places or tuple(predict_frames(s, beliefs.before[at], beliefs.before_cov[at]) for s, at in both)
     sights = {
-        s.name: sight(s, place, beliefs.scale.get(s.name, 1.0))
+        s.name: standardise_sighting(s, place, beliefs.scale.get(s.name, 1.0))
         for s, place in zip(evidence.sightings, places, strict=True)
     }
     errors = {name: error for name, (error, _, _) in sights.items()}
@@ -70,7 +70,7 @@ def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, b
     )  # fmt: skip
 
 
-def with_lasting_error(found: Estimate, problem: Problem, z: Array, settings: Estimation) -> Estimate:
+def with_lasting_error(found: Estimate, problem: FilterProblem, z: Array, settings: EstimationSettings) -> Estimate:
     """The estimate with wider error bars and a warning where the log shows that its encoders' errors last.
 
     z (E,K): beliefs at all instants. Angles stay as they are.
@@ -100,13 +100,13 @@ def with_lasting_error(found: Estimate, problem: Problem, z: Array, settings: Es
     )  # fmt: skip
 
 
-def predicted(sighting: Sighting, x: Array, cov: Array) -> tuple[Array, Array, Array]:
+def predict_frames(sighting: Sighting, x: Array, cov: Array) -> tuple[Array, Array, Array]:
     """Mean (F,D), covariance (F,D,D) and the model's variance (F,D) of frames by angles x (F,M) of cov (F,M,M)."""
     mean, jac, var = sighting.model.predict(x)
-    return mean, projected(jac, cov), var
+    return mean, project_covariance(jac, cov), var
 
 
-def sight(sighting: Sighting, place: tuple[Array, Array, Array], scale: float) -> tuple[Series, Series, Array]:
+def standardise_sighting(sighting: Sighting, place: tuple[Array, Array, Array], scale: float) -> tuple[Series, Series, Array]:
     """Standardised errors where seen; the place predicted without the frame; its covariance (F,D,D) with noise."""
     (mean, cov, var), names = place, sighting.model.outputs
     cov = cov + scale * (sighting.var[..., None] * np.eye(len(names)) if sighting.cov is None else sighting.cov)

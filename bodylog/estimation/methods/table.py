@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from ...body_model import BodyModel
-from ...settings import Estimation
+from ...settings import EstimationSettings
 from ...types import Capabilities, Estimate, Features, Finding
 from . import filtering, kalman, predictive_coding, smoother
 
@@ -17,7 +17,7 @@ class Method(NamedTuple):
     log, so that it can run beside a robot.
     """
 
-    estimate: Callable[[Features, BodyModel, Estimation], Estimate]
+    estimate: Callable[[Features, BodyModel, EstimationSettings], Estimate]
     can: Capabilities
     senses: frozenset[str] = frozenset({"encoders", "vision", "touch"})
     heeds: frozenset[str] = frozenset({"precision", "bias", "process", "sigma_encoders", "sigma_vision", "sigma_touch"})
@@ -27,16 +27,16 @@ class Method(NamedTuple):
 
 
 METHODS: Mapping[str, Method] = {
-    "laplace": Method(filtering.estimate, Capabilities(), live=True),
-    "smoother": Method(smoother.estimate, Capabilities(causal=False)),
-    "ekf": Method(filtering.estimate, Capabilities()),
+    "laplace": Method(filtering.estimate_by_filter, Capabilities(), live=True),
+    "smoother": Method(smoother.estimate_by_smoother, Capabilities(causal=False)),
+    "ekf": Method(filtering.estimate_by_filter, Capabilities()),
     "kalman": Method(
-        kalman.estimate,
+        kalman.estimate_by_kalman_filter,
         Capabilities(moves=False, density=False, learns_noise=False, repairs=False, from_paper=True),
         senses=frozenset({"encoders"}), heeds=frozenset(),
     ),
     "predictive-coding": Method(
-        predictive_coding.estimate,
+        predictive_coding.estimate_by_predictive_coding,
         Capabilities(moves=False, density=False, repairs=False, from_paper=True),
         heeds=frozenset({"precision", "lambda", "sigma_encoders", "sigma_vision", "sigma_touch"}),
         literal_touch=True, encoder_model=True,
@@ -44,7 +44,7 @@ METHODS: Mapping[str, Method] = {
 }  # fmt: skip
 
 
-def ignored_settings(settings: Estimation) -> tuple[Finding, ...]:
+def ignored_settings(settings: EstimationSettings) -> tuple[Finding, ...]:
     """Warnings for settings that differ from their defaults and that the method ignores."""
     heeds, paper = METHODS[settings.method].heeds, settings.preset == "paper"
     asked = {"bias": "on", "precision": "model"}.items()

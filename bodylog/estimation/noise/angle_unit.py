@@ -9,7 +9,7 @@ import numpy as np
 
 from ...types import Array, Estimate, Fault, Features, Series
 
-UNIT = "joint_unit"
+JOINT_UNIT_KEY = "joint_unit"
 """The key of an estimate's settings that names the joints' unit, where that is not rad."""
 
 
@@ -21,14 +21,14 @@ def unit_of(joints: Series | None) -> tuple[str, float]:
     """
     if joints is None or not np.isfinite(joints.values).any():
         return "rad", 1.0
-    span = _span(joints.values)
+    span = _measure_reading_span(joints.values)
     if joints.unit != "rad":
         return joints.unit, _rad_per_unit(span)
     known = joints.values[np.isfinite(joints.values)]
     return ("counts", _rad_per_unit(span)) if span > tau and (known == np.round(known)).all() else ("rad", 1.0)
 
 
-def _span(values: Array) -> float:
+def _measure_reading_span(values: Array) -> float:
     """The span of all readings (N,M) and of zero: of counts and of percent, zero is an end or the middle."""
     return max(float(np.nanmax(values)), 0.0) - min(float(np.nanmin(values)), 0.0)
 

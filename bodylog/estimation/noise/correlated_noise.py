@@ -17,13 +17,13 @@ import numpy as np
 
 from ...body_model import ForwardModel
 from ...types import Array
-from ..measurements.records import mixed
+from ..measurements.records import mix_rows
 
 Number = TypeVar("Number", float, Array)
 
-NEAR = 0.5
+PIXEL_CORRELATION_PX = 0.5
 """px: correlation length of perception's error, which has the period of the pixels."""
-EXTRAPOLATED = -0.5
+EXTRAPOLATED_WEIGHT = -0.5
 """Weight of a lasting error in a filter beyond that of an independent one, on average over the time to the next frame.
 
 Extrapolated from two frames independent errors get 8/3 of their variance, from three on a line 3/2: −5/8 and −1/3. Of
@@ -86,15 +86,15 @@ class ErrorCorrelation:
         A lasting error keeps its variance. Interpolated between two frames, (1 − x) e₀ + x e₁, independent ones get 2/3
         of theirs, so that in a smoother it weighs ½ more.
         """
-        return 2.0 * count - 1.0 + (0.5 if self.whole else EXTRAPOLATED) * like / count
+        return 2.0 * count - 1.0 + (0.5 if self.whole else EXTRAPOLATED_WEIGHT) * like / count
 
 
-def reach(model: ForwardModel) -> Array:
+def correlation_length(model: ForwardModel) -> Array:
     """Correlation length (M,) or () rad of the model's errors; infinite if the model has none."""
     return np.asarray(getattr(model, "reach", np.inf))
 
 
-def variances(
+def inflate_variances(
     like: ErrorCorrelation, t: Array, places: Array, points: Array, jac: Array, pixel: Array, model: Array,
     often: float = 1.0,
 ) -> Array:  # fmt: skip
@@ -107,11 +107,11 @@ def variances(
     similarity = like.spots(np.diff(places, axis=0)), like.postures(np.diff(points, axis=0))
     lasting = pixel[1:] * similarity[0][:, None] + model[1:] * similarity[1][:, None]
     fade = like.fade(np.diff(t), lasting, jac[1:])
-    spots, postures = (like.times(counts(fade * one), np.append(0.0, one))[:, None] for one in similarity)
+    spots, postures = (like.times(count_effective_frames(fade * one), np.append(0.0, one))[:, None] for one in similarity)
     return np.asarray(pixel * spots + often * model * postures)
 
 
-def repeated(frames: Sequence[int], common: Sequence[float], distinct: float) -> tuple[float, ...]:
+def shared_model_factors(frames: Sequence[int], common: Sequence[float], distinct: float) -> tuple[float, ...]:
     """Factor on each track's model variance, for the share of it in common with other tracks' models.
 
     frames: number of each track's frames · distinct: directions of joints that their rows determine. Rows with a common
@@ -124,12 +124,12 @@ def repeated(frames: Sequence[int], common: Sequence[float], distinct: float) ->
     )
 
 
-def directions(models: Sequence[ForwardModel], x: Array) -> int:
+def count_directions(models: Sequence[ForwardModel], x: Array) -> int:
     """Rank of the stacked Jacobians of all models at x (M,)."""
     return int(np.linalg.matrix_rank(np.concatenate([model.predict(x[None])[1][0] for model in models])))
 
 
-def counts(kept: Array) -> Array:
+def count_effective_frames(kept: Array) -> Array:
     """Number of frames (F,) up to each that count as one, n[k] = 1 + kept[k] n[k−1], for shares kept (F−1,).
 
     At a steady rate n is 1 / (1 − kept). A mean over many frames with correlation kept from one to the next has the
@@ -171,7 +171,7 @@ class PendingFrame:
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
         """Mean (N,D), Jacobian (N,D,M) and model variance (N,D) at angles x (N,M)."""
-        return mixed(self.mix, self.model.predict(x))
+        return mix_rows(self.mix, self.model.predict(x))
 
     def predicted(self, x: Array) -> tuple[Array, Array, Array]:
         """Mean (D,), Jacobian (D,M) and model variance (D,) at angles x (M,)."""
@@ -182,7 +182,7 @@ class PendingFrame:
         return mean[0], jac[0], model[0]
 
     def at(self, x: Array) -> tuple[Array, Array, Array, Array, LastFrame]:
-        """Mean (D,), Jacobian (D,M), model variance (D,), total one as in `variances`, memory, at angles x (M,)."""
+        """Mean (D,), Jacobian (D,M), model variance (D,), total one as in `inflate_variances`, memory, at angles x (M,)."""
         mean, jac, model = self.predicted(x)
         spots, postures, memory = self._inflation(x, jac, model)
         return mean, jac, model, self.var * spots + model * postures, memory

@@ -6,19 +6,19 @@ import numpy as np
 from scipy.special import wrightomega
 
 from ...types import Array
-from ..inference.kernel import call, fields
+from ..inference.kernel import bind_kernel_call, list_struct_fields
 
-SKIP = 10
+SKIPPED_READINGS = 10
 """Readings that do not count at the start, as a vague start costs white jerk more, nor after a restart, which may be at
 a false reading; of fewer than 30, a third do not count at the start. A joint with no more readings than this keeps its
 given noise. With 3, errors among false readings are 13 to 27 % larger."""
 
 
-class _Evidence(ctypes.Structure):
-    _fields_ = fields("length ratios order", "vague usual", "dt y ratio fresh counts squares logs lag")
+class _EvidenceStruct(ctypes.Structure):
+    _fields_ = list_struct_fields("length ratios order", "vague usual", "dt y ratio fresh counts squares logs lag")
 
 
-def evidence(
+def compute_encoder_evidence(
     t: Array, y: Array, fresh: Array, ratios: Array, usual: float, order: int = 2, known: float | None = None
 ) -> tuple[Array, Array, Array]:
     """Log evidence (R,) per ratio (R,) of process to noise, with the likeliest noise variance or a `known` one.
@@ -29,14 +29,14 @@ def evidence(
     filter, so that the next is off to the other side; after a sudden motion it is off to the same side, by less.
     """
     dt, count = np.diff(t, prepend=t[0]), np.arange(len(t))
-    begin = min(len(t) // 3, SKIP)
-    counts = count - np.maximum.accumulate(np.where(fresh, count, begin - SKIP)) >= SKIP
+    begin = min(len(t) // 3, SKIPPED_READINGS)
+    counts = count - np.maximum.accumulate(np.where(fresh, count, begin - SKIPPED_READINGS)) >= SKIPPED_READINGS
     fresh = np.asarray(fresh | (count == 0))
     # over a reading's variance: a restart knows nothing, and half of the digits are left
     vague = np.finfo(float).eps ** -0.5
     squares, logs, lag = np.empty((3, len(ratios)))
-    call(
-        "evidence", _Evidence, length=len(t), ratios=len(ratios), order=order, vague=vague,
+    bind_kernel_call(
+        "evidence", _EvidenceStruct, length=len(t), ratios=len(ratios), order=order, vague=vague,
         usual=float(np.median(dt[dt > 0.0])), dt=dt, y=np.ascontiguousarray(y), ratio=np.ascontiguousarray(ratios),
         fresh=fresh, counts=counts, squares=squares, logs=logs, lag=lag,
     )()  # fmt: skip

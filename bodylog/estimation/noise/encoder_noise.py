@@ -6,21 +6,21 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array
-from ..inference.gate import GATE
-from ..measurements.long_arrays import LEVEL, median, median_step, rows
+from ..inference.gate import GATE_SIGMA
+from ..measurements.long_arrays import LEVEL_READINGS, median_by_pivot, median_step, index_true_rows
 from ..measurements.records import Encoders
-from ..measurements.timeline import FASTEST
-from .encoder_evidence import SKIP, evidence
-from .quantisation import dithered, shared_variance
-from .visibility import LONG
+from ..measurements.timeline import MAX_OUTPUT_RATE_HZ
+from .encoder_evidence import SKIPPED_READINGS, compute_encoder_evidence
+from .quantisation import dither_readings, shared_variance
+from .visibility import GAP_STEPS
 
-INSTANTS = 4000
+MAX_INSTANTS = 4000
 """Most averages, or averages and images, used from the middle of the log: these tell a variance to √(2/N), 2 %."""
-MEMORIES = 2.0 ** np.linspace(7.7, -4.7, 48)
+TRIED_MEMORIES = 2.0 ** np.linspace(7.7, -4.7, 48)
 """Averages: memories tried; a parabola through the best three is exact to .05 in the logarithm of the density. With 64
-as the longest, of 180 joints at rest for 12 to 60 s 39 % got a process density above the `floor`; with 128, 4 %; logs
+as the longest, of 180 joints at rest for 12 to 60 s 39 % got a process density above the `least_process_density`; with 128, 4 %; logs
 of motion have the same errors with both."""
-MEMORY = 1.0
+MAX_MEMORY_S = 1.0
 """s: longest memory of a filter for a joint at rest."""
 
 
@@ -29,7 +29,7 @@ Averages = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class LearnedEncoderNoise:
     """encoder (M,) rad², also of readings dithered · process (M,) for motion of an order · evidence (nats) of all."""
 
     order: int
@@ -39,7 +39,7 @@ class Learned:
     evidence: float
 
 
-class Series(NamedTuple):
+class AveragedReadings(NamedTuple):
     """A joint's readings, dithered, as `Averages` of `each` of them; None if they are too few or constant.
 
     added, least: variances (rad²) of the dither and, at least, of a reading · repeated: factor on the variance of
@@ -53,28 +53,28 @@ class Series(NamedTuple):
     repeated: float = 1.0
 
 
-def series(encoders: Encoders) -> list[Series]:
+def average_joint_readings(encoders: Encoders) -> list[AveragedReadings]:
     """The readings of each joint in the middle of the log."""
     return [
-        _of_joint(encoders.t[known], column[known])
+        _average_one_joint(encoders.t[known], column[known])
         for column in encoders.values.T
-        for known in [rows(np.isfinite(column))]
+        for known in [index_true_rows(np.isfinite(column))]
     ]
 
 
-def _of_joint(t: Array, y: Array) -> Series:
-    most = INSTANTS * per_average(t)
+def _average_one_joint(t: Array, y: Array) -> AveragedReadings:
+    most = MAX_INSTANTS * readings_per_average(t)
     begin = max(0, (len(t) - most) // 2)
     t, y = t[begin : begin + most], y[begin : begin + most]
-    if len(t) // per_average(t) <= SKIP or np.ptp(y) == 0.0:
-        return Series(None, repeated=shared_variance(t, y) if len(t) else 1.0)
-    spread, added, least = dithered(t, y)
-    return Series(*_averages(t, spread), added, least)
+    if len(t) // readings_per_average(t) <= SKIPPED_READINGS or np.ptp(y) == 0.0:
+        return AveragedReadings(None, repeated=shared_variance(t, y) if len(t) else 1.0)
+    spread, added, least = dither_readings(t, y)
+    return AveragedReadings(*_average_between_breaks(t, spread), added, least)
 
 
-def learn(
-    joints: list[Series], encoder: Array, process: Array, order: int = 2, known: Array | None = None
-) -> Learned:  # fmt: skip
+def learn_encoder_noise(
+    joints: list[AveragedReadings], encoder: Array, process: Array, order: int = 2, known: Array | None = None
+) -> LearnedEncoderNoise:  # fmt: skip
     """Learn encoder variances and process densities by evidence, the given variance counting as one reading.
 
     A joint that reads nothing, or always the same, keeps the given ones. Quantised readings are dithered over their
@@ -85,14 +85,14 @@ def learn(
     for joint, one in enumerate(joints):
         if one.averages is not None:
             usual, given = encoder[joint] + one.added, None if known is None else known[joint] / one.each
-            found[joint], process[joint], own = likeliest(one.averages, one.each, usual, order, given)
+            found[joint], process[joint], own = find_likeliest_noise(one.averages, one.each, usual, order, given)
             encoder[joint], nats = max(found[joint] - one.added, one.least), nats + own
         else:
             encoder[joint] *= one.repeated
-    return Learned(order, encoder, found, process, nats)
+    return LearnedEncoderNoise(order, encoder, found, process, nats)
 
 
-def followable(encoders: Encoders, encoder: Array, process: Array, order: int) -> Array:
+def find_followable_process(encoders: Encoders, encoder: Array, process: Array, order: int) -> Array:
     """Densities (M,), at least `process`, with which a filter of an order follows all readings of the encoders.
 
     Joints with few readings keep theirs.
@@ -100,19 +100,19 @@ def followable(encoders: Encoders, encoder: Array, process: Array, order: int) -
     process = process.copy()
     for joint, column in enumerate(encoders.values.T):
         known = np.isfinite(column)
-        if known.sum() // per_average(encoders.t[known]) > SKIP:
-            (averages, each), noise = _averages(encoders.t[known], column[known]), encoder[joint]
-            process[joint] = noise * _followed_by(averages, process[joint] / noise, noise / each, order)
+        if known.sum() // readings_per_average(encoders.t[known]) > SKIPPED_READINGS:
+            (averages, each), noise = _average_between_breaks(encoders.t[known], column[known]), encoder[joint]
+            process[joint] = noise * _raise_until_followed(averages, process[joint] / noise, noise / each, order)
     return process
 
 
-def floor(t: Array, encoder: Array, order: int) -> Array:
-    """Least density (M,), which bounds a filter's memory, (R Δt / q)^(1/2p), by MEMORY; p is the motion's order."""
+def least_process_density(t: Array, encoder: Array, order: int) -> Array:
+    """Least density (M,), which bounds a filter's memory, (R Δt / q)^(1/2p), by MAX_MEMORY_S; p is the motion's order."""
     step = median_step(t) if len(t) > 1 else 0.0
-    return np.asarray(encoder * step / MEMORY ** (2 * order))
+    return np.asarray(encoder * step / MAX_MEMORY_S ** (2 * order))
 
 
-def likeliest(
+def find_likeliest_noise(
     averages: Averages, each: int, usual: float, order: int = 2, known: float | None = None
 ) -> tuple[float, float, float]:
     """Noise variance and density of most evidence of means of `each` readings; that evidence.
@@ -120,22 +120,22 @@ def likeliest(
     usual: noise variance of a reading before any is known · known: that of a mean.
     """
     # a ratio of 1 per average has a memory of one average
-    ratios = MEMORIES ** (-2 * order) / median_step(averages[0]) ** (2 * order - 1)
-    score, noise, lag = evidence(*averages, ratios, usual / each, order, known)
-    ratio, variance, nats = _peak(ratios, score, noise)
-    if lag[score.argmax()] > GATE:
-        ratio = _followed_by(averages, ratio, variance, order)
+    ratios = TRIED_MEMORIES ** (-2 * order) / median_step(averages[0]) ** (2 * order - 1)
+    score, noise, lag = compute_encoder_evidence(*averages, ratios, usual / each, order, known)
+    ratio, variance, nats = _fit_evidence_peak(ratios, score, noise)
+    if lag[score.argmax()] > GATE_SIGMA:
+        ratio = _raise_until_followed(averages, ratio, variance, order)
     return variance * each, variance * ratio, nats
 
 
-def _followed_by(averages: Averages, ratio: float, variance: float, order: int) -> float:
+def _raise_until_followed(averages: Averages, ratio: float, variance: float, order: int) -> float:
     """The ratio, doubled until a filter of a noise variance keeps up with all motion."""
     raised = ratio * 2.0 ** np.arange(24)
-    keeps = evidence(*averages, raised, variance, order, variance)[2] <= GATE
+    keeps = compute_encoder_evidence(*averages, raised, variance, order, variance)[2] <= GATE_SIGMA
     return float(raised[keeps.argmax() if keeps.any() else -1])
 
 
-def _peak(ratios: Array, score: Array, noise: Array) -> tuple[float, float, float]:
+def _fit_evidence_peak(ratios: Array, score: Array, noise: Array) -> tuple[float, float, float]:
     """Ratio, noise and score at the greatest score (R,), by parabolas through the best three."""
     at = int(np.clip(score.argmax(), 1, len(ratios) - 2))
     before, best, after = np.stack([np.log(ratios), score, np.log(noise)], axis=1)[at - 1 : at + 2]
@@ -145,23 +145,23 @@ def _peak(ratios: Array, score: Array, noise: Array) -> tuple[float, float, floa
     return float(np.exp(ratio)), float(np.exp(variance)), float(peak)
 
 
-def per_average(t: Array) -> int:
+def readings_per_average(t: Array) -> int:
     """Readings per average."""
-    return max(1, round(1.0 / FASTEST / max(median_step(t), 1e-9))) if len(t) > 1 else 1
+    return max(1, round(1.0 / MAX_OUTPUT_RATE_HZ / max(median_step(t), 1e-9))) if len(t) > 1 else 1
 
 
-def averaged(found: Encoders) -> Encoders:
+def average_close_readings(found: Encoders) -> Encoders:
     """Means of close readings, among rows of the same encoders: these are read together."""
     known, which = np.isfinite(found.values), np.zeros(len(found.t), int)
     for column in known.T[~known.all(axis=0)]:
         which = np.unique(2 * which + column, return_inverse=True)[1]
     parts = np.split(np.argsort(which, kind="stable"), np.cumsum(np.bincount(which))[:-1])
-    return _merged([_row_means(found, part) for part in parts])
+    return _merge_encoders([_row_means(found, part) for part in parts])
 
 
 def _row_means(found: Encoders, part: Array) -> Encoders:
     """Means of close rows among `part` (P,), which are of the same encoders."""
-    each, joints = per_average(found.t[part]), found.values.shape[1]
+    each, joints = readings_per_average(found.t[part]), found.values.shape[1]
     part = part[: len(part) // each * each]
     weights = np.ones((len(part), joints)) if found.relative is None else 1.0 / found.relative[part]
     weights, values = (a.reshape(-1, each, joints) for a in (weights, found.values[part]))
@@ -169,7 +169,7 @@ def _row_means(found: Encoders, part: Array) -> Encoders:
     return Encoders(t, (weights * values).sum(axis=1) / total, found.source_ns[part[each - 1 :: each]], 1.0 / total)
 
 
-def _merged(parts: list[Encoders]) -> Encoders:
+def _merge_encoders(parts: list[Encoders]) -> Encoders:
     """One record of readings of different encoders, in time order; a row holds all readings of one time."""
     t, joints = np.unique(np.concatenate([part.t for part in parts])), parts[0].values.shape[1]
     values, relative, source = np.full((len(t), joints), np.nan), np.ones((len(t), joints)), np.zeros(len(t), np.int64)
@@ -181,33 +181,33 @@ def _merged(parts: list[Encoders]) -> Encoders:
     return Encoders(t, values, source, relative)
 
 
-def _averages(t: Array, y: Array) -> tuple[Averages, int]:
+def _average_between_breaks(t: Array, y: Array) -> tuple[Averages, int]:
     """Means (N,) of times and of readings, where the filter restarts, at and after a mean with a break; how many each.
 
     Readings are averaged as far as a short stretch shows no acceleration.
     """
-    each = per_average(t)
+    each = readings_per_average(t)
     whole = len(t) // each * each
-    broken = _breaks(t, y)
+    broken = _find_breaks(t, y)
     t, y = (a[:whole].reshape(-1, each).mean(axis=1) for a in (t, y))
     if each > 1:
         broken = np.asarray(broken[:whole].reshape(-1, each).any(axis=1))
         broken[1:] |= broken[:-1]
-        broken |= _breaks(t, y)
+        broken |= _find_breaks(t, y)
     return (t, y, broken), each
 
 
-def _breaks(t: Array, y: Array) -> Array:
+def _find_breaks(t: Array, y: Array) -> Array:
     """Readings (N,) that cannot follow from their neighbours, where the filter restarts."""
     steps, fresh = np.diff(y), np.zeros(len(y), bool)
-    at = np.flatnonzero(_far(np.abs(np.diff(steps))))
-    at = at[~_lasting(steps, at)]
+    at = np.flatnonzero(_find_far_bends(np.abs(np.diff(steps))))
+    at = at[~_find_lasting_motion(steps, at)]
     fresh[at + 1] = fresh[at + 2] = True
-    fresh[1:] |= np.diff(t) > LONG * median_step(t)
+    fresh[1:] |= np.diff(t) > GAP_STEPS * median_step(t)
     return fresh
 
 
-def _far(bend: Array) -> Array:
+def _find_far_bends(bend: Array) -> Array:
     """Which second differences (N,) are beyond the gate, in robust standard deviations of all.
 
     With 10 in place of 5, and only those that stand out of their neighbours, errors where 2 % of the readings are false
@@ -215,19 +215,19 @@ def _far(bend: Array) -> Array:
     """
     moved = bend[bend > 0.0]
     # where most readings repeat, the others are typical
-    typical = median(bend) if 2 * len(moved) > len(bend) else median(moved) if len(moved) else np.inf
-    return np.asarray(bend > GATE * 1.4826 * typical)
+    typical = median_by_pivot(bend) if 2 * len(moved) > len(bend) else median_by_pivot(moved) if len(moved) else np.inf
+    return np.asarray(bend > GATE_SIGMA * 1.4826 * typical)
 
 
-def _lasting(steps: Array, at: Array) -> Array:
+def _find_lasting_motion(steps: Array, at: Array) -> Array:
     """Whether motion (K,) starts or stops at second differences `at` (K,) of `steps` (N,): its steps last.
 
     The larger step beside it has a neighbour in its direction of at least a quarter, as innovations that lag have.
     After a false reading the next step leads back; a shift is one step.
     """
-    around = np.pad(steps, LEVEL, constant_values=np.nan)[at[:, None] + np.arange(1, 2 * LEVEL + 1)]
+    around = np.pad(steps, LEVEL_READINGS, constant_values=np.nan)[at[:, None] + np.arange(1, 2 * LEVEL_READINGS + 1)]
     # as many steps before as after: where one speed follows another, the median is between them
-    off = (around - np.nanmedian(around, axis=1, keepdims=True))[:, LEVEL - 2 : LEVEL + 2]
+    off = (around - np.nanmedian(around, axis=1, keepdims=True))[:, LEVEL_READINGS - 2 : LEVEL_READINGS + 2]
     second = np.abs(off[:, 2]) > np.abs(off[:, 1])
     large = np.where(second, off[:, 2], off[:, 1])
     beside = np.where(second[:, None], off[:, [1, 3]], off[:, [0, 2]])

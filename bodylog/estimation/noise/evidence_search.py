@@ -7,27 +7,27 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ...types import Array, Hypothesis
-from ..faults.threshold import NATS
-from ..inference.convergence import SWEEPS
-from ..inference.problem import Problem
-from ..inference.reacquisition import left_open, silent
-from ..inference.scan import scan
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..inference.convergence import MAX_SWEEPS
+from ..inference.problem import FilterProblem
+from ..inference.reacquisition import joints_left_open, find_silent_joints
+from ..inference.scan import filter_stretches
 from ..inference.solution import Solution
-from ..inference.walk import filtered
-from ..measurements.long_arrays import median_step, seen
+from ..inference.walk import filter_roughly
+from ..measurements.long_arrays import median_step, find_finite_rows
 from ..measurements.records import Encoders, Sighting
-from ..measurements.timeline import timeline
+from ..measurements.timeline import build_timeline
 from .correlated_noise import steady_variance
-from .encoder_evidence import SKIP
-from .encoder_noise import INSTANTS, averaged, floor, followable, per_average
+from .encoder_evidence import SKIPPED_READINGS
+from .encoder_noise import MAX_INSTANTS, average_close_readings, least_process_density, find_followable_process, readings_per_average
 from .noise_model import NoiseModel
-from .smoother_process import least, side_by_side
-from .visibility import View, views, visual
+from .smoother_process import least_error_process, stack_candidates
+from .visibility import View, list_track_sets, select_visual_sightings
 
 Measured = TypeVar("Measured", Encoders, Sighting)
 
 
-def with_preferred_order(problem: Problem) -> Problem:
+def with_preferred_order(problem: FilterProblem) -> FilterProblem:
     """The problem with white jerk where the encoders' evidence prefers it, if its noise is learned from the log.
 
     Also where images leave silent joints open, unless the evidence is surely against it: over seconds accelerations
@@ -36,15 +36,15 @@ def with_preferred_order(problem: Problem) -> Problem:
     """
     encoders, precision, learned = problem.evidence.encoders, problem.precision, problem.precision.learned
     unread = problem.posture_prior is not None
-    if encoders is None or learned is None or unread or (np.isfinite(encoders.values).sum(axis=0) <= SKIP).any():
+    if encoders is None or learned is None or unread or (np.isfinite(encoders.values).sum(axis=0) <= SKIPPED_READINGS).any():
         return problem
-    lasting = bool(left_open(problem.timeline.t, problem.evidence).any())
-    if not lasting and silent(problem.timeline.t, encoders).any():
+    lasting = bool(joints_left_open(problem.timeline.t, problem.evidence).any())
+    if not lasting and find_silent_joints(problem.timeline.t, encoders).any():
         return problem
     white, jerk = learned
     nats = jerk.evidence - white.evidence
     # both motions have one parameter per joint, so neither is the simpler one
-    threshold = -NATS * len(encoders.values.T) if lasting else 0.0
+    threshold = -EVIDENCE_THRESHOLD_NATS * len(encoders.values.T) if lasting else 0.0
     order = Hypothesis("white jerk", "joints", nats, threshold, bool(nats > threshold))
     evidence = replace(problem.evidence, hypotheses=(*problem.evidence.hypotheses, order))
     if order.chosen:
@@ -52,63 +52,63 @@ def with_preferred_order(problem: Problem) -> Problem:
     return replace(problem, evidence=evidence, precision=precision)
 
 
-def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
+def tune_by_evidence(problem: FilterProblem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     """Process variances and pixel factors from (the middle of) the log, for a smoother (`whole`) or a filter.
 
     Rounds of steps to the greatest evidence end when all are within a standard deviation of it; a parabola is as wide
     as before until its minimum is near. Also the last solution as a warm start, if it covers the whole log.
     """
-    log = middle(determined(replace(problem, precision=replace(problem.precision, fewer={}))))
-    part = thinned(log)
-    names = [s.name for s in part.evidence.sightings if s.name != "touch" and seen(s.values).sum() > SKIP]
+    log = cut_to_middle(drop_undetermined_images(replace(problem, precision=replace(problem.precision, fewer={}))))
+    part = thin_encoder_readings(log)
+    names = [s.name for s in part.evidence.sightings if s.name != "touch" and find_finite_rows(s.values).sum() > SKIPPED_READINGS]
     if not names and not whole:
         return problem.precision, None
-    solved = filtered(part)
+    solved = filter_roughly(part)
     half = np.ones(len(part.start) + len(names))
-    for _ in range(SWEEPS if names else 0):
-        logs = _logs(part, names)
+    for _ in range(MAX_SWEEPS if names else 0):
+        logs = _log_parameters(part, names)
         candidates = np.concatenate([logs[None], logs + np.diag(half), logs - np.diag(half)])
-        nats, solved = costs(part, solved, np.exp(candidates), names)
-        step, std = _step(nats, half)
-        part = replace(part, precision=_with(part, np.exp(logs + step), names))
-        if (np.abs(_logs(part, names) - logs) <= std).all():
+        nats, solved = compute_candidate_costs(part, solved, np.exp(candidates), names)
+        step, std = _parabola_step(nats, half)
+        part = replace(part, precision=_noise_with_values(part, np.exp(logs + step), names))
+        if (np.abs(_log_parameters(part, names) - logs) <= std).all():
             break
         half = np.where(np.abs(step) < 2.0 * half, np.minimum(half, std), half)
     warm = solved if part.timeline is problem.timeline else None
     if whole:
-        likeliest = _of_filter(problem, part, solved).process
-        return replace(_of_smoother(part, solved, log.evidence.encoders), likeliest=likeliest), warm
-    fewer = {view: _of_filter(problem, *_with_view(part, view)).process for view in _less(problem)}
-    return replace(_of_filter(problem, part, solved), fewer=fewer), warm
+        likeliest = _tune_filter_noise(problem, part, solved).process
+        return replace(_tune_smoother_noise(part, solved, log.evidence.encoders), likeliest=likeliest), warm
+    fewer = {view: _tune_filter_noise(problem, *_with_view(part, view)).process for view in _list_partial_views(problem)}
+    return replace(_tune_filter_noise(problem, part, solved), fewer=fewer), warm
 
 
-def _less(problem: Problem) -> list[View]:
+def _list_partial_views(problem: FilterProblem) -> list[View]:
     """Sets of tracks in view at times when not all are, if encoders still determine the arm."""
-    usual = tuple(s.name for s in visual(problem.evidence.sightings))
+    usual = tuple(s.name for s in select_visual_sightings(problem.evidence.sightings))
     if problem.path or problem.precision.order > 2:
         return []
-    return [v for v in views(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
+    return [v for v in list_track_sets(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
 
 
-def _with_view(part: Problem, view: View) -> tuple[Problem, Solution]:
+def _with_view(part: FilterProblem, view: View) -> tuple[FilterProblem, Solution]:
     """The part with only these of its tracks, and its solution."""
-    less = _measured(part, part.evidence.encoders, [s for s in part.evidence.sightings if s.name in view])
-    return less, filtered(less)
+    less = _with_measurements(part, part.evidence.encoders, [s for s in part.evidence.sightings if s.name in view])
+    return less, filter_roughly(less)
 
 
-def _of_smoother(part: Problem, solved: Solution, encoders: Encoders | None) -> NoiseModel:
+def _tune_smoother_noise(part: FilterProblem, solved: Solution, encoders: Encoders | None) -> NoiseModel:
     """A smoother's noise model, whose forward pass stays within the gate, with the share of its covariance to state."""
     precision = part.precision
-    low = 0.0 if encoders is None else floor(encoders.t, precision.encoder, precision.order)
+    low = 0.0 if encoders is None else least_process_density(encoders.t, precision.encoder, precision.order)
     held = replace(precision, process=np.maximum(precision.process, low))
-    process, stated = least(replace(part, precision=held), solved)
+    process, stated = least_error_process(replace(part, precision=held), solved)
     process = np.maximum(process, low)
     if encoders is not None:
-        process = followable(encoders, precision.encoder, process, precision.order)
+        process = find_followable_process(encoders, precision.encoder, process, precision.order)
     return replace(precision, process=process, stated=stated)
 
 
-def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
+def _tune_filter_noise(problem: FilterProblem, part: FilterProblem, solved: Solution) -> NoiseModel:
     """A filter's noise model, which fits no motion at all time scales, with the share of its covariance to state.
 
     A joint has its encoder's process variance to the extent that the encoder determines it: the variance by all senses
@@ -134,19 +134,19 @@ def _of_filter(problem: Problem, part: Problem, solved: Solution) -> NoiseModel:
     return part.precision.held(part.precision.process + more, encoders, white)
 
 
-def _logs(part: Problem, names: list[str]) -> Array:
+def _log_parameters(part: FilterProblem, names: list[str]) -> Array:
     """Natural logarithms (M + tracks) of process variances, then of pixel factors."""
     return np.asarray(np.log([*part.precision.process, *(part.precision.scale[name] for name in names)]))
 
 
-def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
+def _noise_with_values(part: FilterProblem, values: Array, names: list[str]) -> NoiseModel:
     m = len(part.start)
     # correlated frames predict each other well, which is no evidence of lower pixel noise
     found = dict(zip(names, np.maximum(values[m:], 1.0).tolist(), strict=True))
     return replace(part.precision, process=values[:m], scale={**part.precision.scale, **found})
 
 
-def _step(nats: Array, half: Array) -> tuple[Array, Array]:
+def _parabola_step(nats: Array, half: Array) -> tuple[Array, Array]:
     """Step to the minimum of the parabola through (−half, 0, half) along each axis, at most 2 half; its std.
 
     Where the parabola has no minimum the step is downhill, and its std is half. A candidate without a finite cost is no
@@ -163,7 +163,7 @@ def _step(nats: Array, half: Array) -> tuple[Array, Array]:
     return np.clip(step, -2.0 * half, 2.0 * half), half / np.sqrt(curved)
 
 
-def costs(part: Problem, solved: Solution, candidates: Array, names: list[str]) -> tuple[Array, Solution]:
+def compute_candidate_costs(part: FilterProblem, solved: Solution, candidates: Array, names: list[str]) -> tuple[Array, Solution]:
     """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors.
 
     Stretches start where those of `solved` ended. Also the first candidate's solution.
@@ -181,66 +181,66 @@ def costs(part: Problem, solved: Solution, candidates: Array, names: list[str]) 
             # may be less than its pixels': no more can be taken from it than it has
             shares = np.minimum(pixels, readings.var[:, index] / scale)
             var[:, index] += shares[..., None] * more
-    trace = scan(*side_by_side(part, solved, candidates[:, :m].T, var), every=g)
+    trace = filter_stretches(*stack_candidates(part, solved, candidates[:, :m].T, var), every=g)
     first = replace(trace, nats=trace.nats[:, ::g])
     return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), replace(solved, trace=first)
 
 
-def middle(problem: Problem) -> Problem:
+def cut_to_middle(problem: FilterProblem) -> FilterProblem:
     """The problem with only the images and encoder readings nearest to the middle of the images, if there are many."""
     evidence, found = problem.evidence, problem.evidence.encoders
     seen_at = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
-    low, high = span = _span(seen_at, np.empty(0) if found is None else found.t)
+    low, high = span = _find_middle_span(seen_at, np.empty(0) if found is None else found.t)
     if span == (-np.inf, np.inf):
         return problem
-    sightings = [_cut(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings]
+    sightings = [_select_record_rows(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings]
     if found is None:
-        return _measured(problem, None, sightings)
-    part, start = _cut(found, (found.t >= low) & (found.t <= high)), found.at(np.array([low]))[0]
-    return replace(_measured(problem, part, sightings), start=np.where(np.isfinite(start), start, problem.start))
+        return _with_measurements(problem, None, sightings)
+    part, start = _select_record_rows(found, (found.t >= low) & (found.t <= high)), found.at(np.array([low]))[0]
+    return replace(_with_measurements(problem, part, sightings), start=np.where(np.isfinite(start), start, problem.start))
 
 
-def _span(seen_at: Array, read_at: Array) -> tuple[float, float]:
-    """First and last time (s) of the INSTANTS images and averages nearest to the middle of the images among readings.
+def _find_middle_span(seen_at: Array, read_at: Array) -> tuple[float, float]:
+    """First and last time (s) of the MAX_INSTANTS images and averages nearest to the middle of the images among readings.
 
     Nearest to the middle of the readings if none are among these; infinite if the log has no more.
     """
-    every = np.concatenate([seen_at, read_at[:: per_average(read_at)]])
-    if len(every) <= INSTANTS:
+    every = np.concatenate([seen_at, read_at[:: readings_per_average(read_at)]])
+    if len(every) <= MAX_INSTANTS:
         return -np.inf, np.inf
     low, high = (read_at[0], read_at[-1]) if len(read_at) else (-np.inf, np.inf)
     among = seen_at[(seen_at >= low) & (seen_at <= high)]
     centre = np.median(among if len(among) else read_at)
-    away = np.partition(np.abs(every - centre), INSTANTS - 1)[INSTANTS - 1]
+    away = np.partition(np.abs(every - centre), MAX_INSTANTS - 1)[MAX_INSTANTS - 1]
     return float(centre - away), float(centre + away)
 
 
-def thinned(problem: Problem) -> Problem:
+def thin_encoder_readings(problem: FilterProblem) -> FilterProblem:
     """The problem with close encoder readings averaged."""
     found = problem.evidence.encoders
-    if found is None or per_average(found.t) == 1:
+    if found is None or readings_per_average(found.t) == 1:
         return problem
-    return _measured(problem, averaged(found), problem.evidence.sightings)
+    return _with_measurements(problem, average_close_readings(found), problem.evidence.sightings)
 
 
-def determined(problem: Problem) -> Problem:
+def drop_undetermined_images(problem: FilterProblem) -> FilterProblem:
     """The problem without images at times when no more numbers than encoders are silent must determine these joints."""
     held = problem.held
     if held is None:
         return problem
     sure, line = np.asarray(~held.any(axis=1)), problem.timeline
     pairs = zip(problem.evidence.sightings, line.sightings, strict=True)
-    sightings = [_cut(sighting, sure[at]) for sighting, at in pairs]
-    return problem if sure.all() else _measured(problem, problem.evidence.encoders, sightings)
+    sightings = [_select_record_rows(sighting, sure[at]) for sighting, at in pairs]
+    return problem if sure.all() else _with_measurements(problem, problem.evidence.encoders, sightings)
 
 
-def _measured(problem: Problem, encoders: Encoders | None, sightings: Sequence[Sighting]) -> Problem:
+def _with_measurements(problem: FilterProblem, encoders: Encoders | None, sightings: Sequence[Sighting]) -> FilterProblem:
     """The problem with only these measurements."""
     evidence = replace(problem.evidence, encoders=encoders, sightings=tuple(sightings))
-    return replace(problem, evidence=evidence, timeline=timeline(evidence, None))
+    return replace(problem, evidence=evidence, timeline=build_timeline(evidence, None))
 
 
-def _cut(record: Measured, rows: Array) -> Measured:
+def _select_record_rows(record: Measured, rows: Array) -> Measured:
     """A record of measurements with only some of its rows (N,) bool."""
     parts: Mapping[str, Any] = {one.name: getattr(record, one.name) for one in fields(record)}
     kept: Mapping[str, Any] = {name: part[rows] for name, part in parts.items() if isinstance(part, np.ndarray)}

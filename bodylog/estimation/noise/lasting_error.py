@@ -18,13 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
-from ..measurements.records import Encoders, Sighting, mixed
-from .correlated_noise import NEAR, reach
-from .quantisation import resolved
+from ..measurements.records import Encoders, Sighting, mix_rows
+from .correlated_noise import PIXEL_CORRELATION_PX, correlation_length
+from .quantisation import quantisation_variance
 
-PIECES = 4
+STRETCHES_PER_LOG = 4
 """Stretches of a log that are looked at: each says what lasts, and time stays constant."""
-ROWS = 128
+ROWS_PER_STRETCH = 128
 """Rows of residuals in a stretch."""
 LEAST_IMAGES = 24
 SCORE_SIGMA = 3.0
@@ -36,7 +36,7 @@ LONGEST_S = 60.0
 """s: what lasts longer than a log is constant in it."""
 EVIDENCE_NATS = 8.0
 """Evidence that a lasting error must win: of 120 drawn sound logs, in four kinds of motion, the most had 7.1."""
-OUTLIER = 6.0
+OUTLIER_MEDIANS = 6.0
 """Median sizes of a residual beyond which an image shows something else."""
 MOST_COUNTS = 2.0
 """Variances of whole counts up to which an error that lasts is that of the counts, which noise has already."""
@@ -106,17 +106,17 @@ def find_lasting_error(
         piece
         for sighting, belief in zip(sightings, beliefs, strict=True)
         if sighting.name != "touch"
-        for piece in _residuals(encoders, sighting, belief, variance)
+        for piece in _stretch_residuals(encoders, sighting, belief, variance)
     ]
-    lasting = _by_evidence(pieces) if pieces else None
+    lasting = _fit_lasting_error(pieces) if pieces else None
     if lasting is None or lasting.std**2 < MOST_COUNTS * _count_variances(encoders).max():
         return None
     return lasting
 
 
-def _residuals(encoders: Encoders, sighting: Sighting, belief: FrameBelief, variance: Array) -> Iterator[Residuals]:
+def _stretch_residuals(encoders: Encoders, sighting: Sighting, belief: FrameBelief, variance: Array) -> Iterator[Residuals]:
     """Yield the residuals of a track's images from the readings, stretch by stretch."""
-    read = _read_at(encoders, sighting.t)
+    read = _interpolate_readings(encoders, sighting.t)
     # images follow an encoder with an offset, and one that never changes may stand anywhere within its count
     tells = (belief.offsets == 0.0).all(axis=0) & (np.diff(encoders.values, axis=0) != 0.0).any(axis=0)
     has_reading = np.isfinite(read) & tells
@@ -125,19 +125,19 @@ def _residuals(encoders: Encoders, sighting: Sighting, belief: FrameBelief, vari
     usable = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(angles).all(axis=1))
     if len(usable) < LEAST_IMAGES or not has_reading.any():
         return
-    mean, jac, model_var = mixed(None if mix is None else mix[usable], sighting.model.predict(angles[usable]))
+    mean, jac, model_var = mix_rows(None if mix is None else mix[usable], sighting.model.predict(angles[usable]))
     residual = values[usable] - mean
-    inlying = _inlying(residual)
-    width = max(ROWS // values.shape[1], 1)
+    inlying = _find_inliers(residual)
+    width = max(ROWS_PER_STRETCH // values.shape[1], 1)
     frames = np.arange(len(usable))[inlying]
-    length = reach(sighting.model)
+    length = correlation_length(sighting.model)
     counts = _count_variances(encoders)
-    for start in np.unique(np.linspace(0, max(len(frames) - width, 0), PIECES).astype(int)):
+    for start in np.unique(np.linspace(0, max(len(frames) - width, 0), STRETCHES_PER_LOG).astype(int)):
         part = frames[start : start + width]
         rows = usable[part]
         sloped = jac[part] * has_reading[rows][:, None, :]
         late = np.einsum("fdm,fm->fd", jac[part], belief.rates[rows])
-        yield _piece(
+        yield _build_piece_residuals(
             residual[part], mean[part], var[rows], sloped, model_var[part], angles[rows], late, sighting.t[rows],
             variance, counts, length,
         )  # fmt: skip
@@ -145,10 +145,10 @@ def _residuals(encoders: Encoders, sighting: Sighting, belief: FrameBelief, vari
 
 def _count_variances(encoders: Encoders) -> Array:
     """Variance (M,) rad² of each encoder's readings that comes from whole counts; 0 where none are seen."""
-    return np.array([resolved(column[np.isfinite(column)]) for column in encoders.values.T])
+    return np.array([quantisation_variance(column[np.isfinite(column)]) for column in encoders.values.T])
 
 
-def _read_at(encoders: Encoders, t: Array) -> Array:
+def _interpolate_readings(encoders: Encoders, t: Array) -> Array:
     """Readings (F,M) rad at t (F,) s, between the two beside each; NaN where one of them is missing."""
     after = np.clip(np.searchsorted(encoders.t, t), 1, len(encoders.t) - 1)
     begin, end = encoders.t[after - 1], encoders.t[after]
@@ -158,13 +158,13 @@ def _read_at(encoders: Encoders, t: Array) -> Array:
     return np.asarray(np.where(usual[:, None], read, np.nan))
 
 
-def _inlying(residual: Array) -> Array:
-    """Which images (F,) are within OUTLIER times the median size of all residuals (F,D)."""
+def _find_inliers(residual: Array) -> Array:
+    """Which images (F,) are within OUTLIER_MEDIANS times the median size of all residuals (F,D)."""
     size = np.sqrt(np.square(residual - np.median(residual, axis=0)).sum(axis=1))
-    return np.asarray(size <= OUTLIER * max(float(np.median(size)), 1e-12))
+    return np.asarray(size <= OUTLIER_MEDIANS * max(float(np.median(size)), 1e-12))
 
 
-def _piece(
+def _build_piece_residuals(
     residual: Array, places: Array, var: Array, jac: Array, model_var: Array, q: Array, late: Array, t: Array,
     variance: Array, counts: Array, length: Array,
 ) -> Residuals:  # fmt: skip
@@ -180,25 +180,25 @@ def _piece(
     same_count = np.exp(-0.5 * np.square(step) / np.maximum(12.0 * counts / 16.0, 1e-30))
     rows = np.eye(residual.shape[1])
     single = np.eye(len(q))
-    model = _alike(near_posture, np.sqrt(model_var), rows)
-    image = _alike(single, np.sqrt(var), rows)
-    reading = _projected(jac, variance * single[..., None])
-    alike = _alike(np.exp(-apart / NEAR), np.sqrt(var), rows) + _projected(jac, variance * same_count)
+    model = _image_error_covariance(near_posture, np.sqrt(model_var), rows)
+    image = _image_error_covariance(single, np.sqrt(var), rows)
+    reading = _project_joint_errors(jac, variance * single[..., None])
+    image_covariance = _image_error_covariance(np.exp(-apart / PIXEL_CORRELATION_PX), np.sqrt(var), rows) + _project_joint_errors(jac, variance * same_count)
     # a camera that exposes its rows one by one is later by a linear function of the row
     height = places[:, -1] - places[:, -1].mean()
     by_row = late * (height / max(float(np.abs(height).max()), 1e-12))[:, None]
     delayed = np.square(DELAY_S) * sum(np.outer(one.ravel(), one.ravel()) for one in (late, by_row))
     t_rows = np.repeat(t, residual.shape[1])
-    return Residuals(residual.ravel(), image, reading, alike, model, delayed, jac.reshape(residual.size, -1), t_rows)
+    return Residuals(residual.ravel(), image, reading, image_covariance, model, delayed, jac.reshape(residual.size, -1), t_rows)
 
 
-def _projected(jac: Array, near: Array) -> Array:
+def _project_joint_errors(jac: Array, near: Array) -> Array:
     """Covariance (R,R) of what errors of joints, of covariance near (F,F,M) rad² from image to image, do in images."""
     rows = jac.shape[0] * jac.shape[1]
     return np.asarray(np.einsum("fdm,gem,fgm->fdge", jac, jac, near).reshape(rows, rows))
 
 
-def _alike(near: Array, std: Array, rows: Array) -> Array:
+def _image_error_covariance(near: Array, std: Array, rows: Array) -> Array:
     """Covariance (R,R) of errors (F,D) whose images correlate by near (F,F), and whose rows are independent."""
     return np.asarray(np.einsum("fg,fd,ge,de->fdge", near, std, std, rows).reshape(std.size, std.size))
 
@@ -209,14 +209,14 @@ def _sound_covariance(piece: Residuals, factors: Array) -> Array:
     return np.asarray(noise + piece.model + piece.delayed)
 
 
-def _score(pieces: Sequence[Residuals], factors: Array) -> tuple[float, float]:
+def _score_lasting_error(pieces: Sequence[Residuals], factors: Array) -> tuple[float, float]:
     """The largest score for a lasting error, in its standard deviations, and the time constant (s) that has it.
 
     The score is the slope of the log likelihood by σ² at σ = 0, for residuals scaled to the noise of factors (3,).
     """
     scores = np.zeros((2, len(TIMES_S)))
     for piece in pieces:
-        root = _root(_sound_covariance(piece, factors))
+        root = _stable_cholesky(_sound_covariance(piece, factors))
         white = np.linalg.solve(root, piece.residual)
         white = white / max(float(np.sqrt(np.mean(white * white))), 1e-12)
         for k, seconds in enumerate(TIMES_S):
@@ -227,29 +227,29 @@ def _score(pieces: Sequence[Residuals], factors: Array) -> tuple[float, float]:
     return float(each.max()), TIMES_S[int(each.argmax())]
 
 
-def _by_evidence(pieces: Sequence[Residuals]) -> LastingError | None:
+def _fit_lasting_error(pieces: Sequence[Residuals]) -> LastingError | None:
     """The lasting error of most evidence, if it wins EVIDENCE_NATS over none."""
-    score, seconds = _score(pieces, _STATED)
+    score, seconds = _score_lasting_error(pieces, _STATED)
     if score < SCORE_SIGMA:
         return None
-    factors, none = _least(lambda p: _nats(pieces, np.exp(p)), np.log(_STATED), _LIMITS[:3])
-    start = np.array([*factors, np.log(_size(pieces)), np.log(seconds)])
-    found, nats = _least(lambda p: _nats(pieces, *_split(p)), start, _LIMITS)
+    factors, none = _minimise_cost(lambda p: _residual_nats(pieces, np.exp(p)), np.log(_STATED), _LIMITS[:3])
+    start = np.array([*factors, np.log(_encoder_error_size(pieces)), np.log(seconds)])
+    found, nats = _minimise_cost(lambda p: _residual_nats(pieces, *_split_parameters(p)), start, _LIMITS)
     if none - nats <= EVIDENCE_NATS:
         return None
     # play looks like a delay in part: what decides allows for one, the size of the error does not
     timely = [replace(piece, delayed=np.zeros_like(piece.delayed)) for piece in pieces]
-    (*_, std, tau), _ = _least(lambda p: _nats(timely, *_split(p)), found, _LIMITS)
+    (*_, std, tau), _ = _minimise_cost(lambda p: _residual_nats(timely, *_split_parameters(p)), found, _LIMITS)
     # a process that outlasts the log may be larger than any error in it, which the residuals bound
-    return LastingError(min(float(np.exp(std)), _size(pieces)), float(np.exp(tau)), none - nats)
+    return LastingError(min(float(np.exp(std)), _encoder_error_size(pieces)), float(np.exp(tau)), none - nats)
 
 
-def _split(p: Array) -> tuple[Array, float, float]:
+def _split_parameters(p: Array) -> tuple[Array, float, float]:
     """Factors (3,) on noise, σ and τ, of their logarithms (5,)."""
     return np.exp(p[:3]), float(np.exp(p[3])), float(np.exp(p[4]))
 
 
-def _least(cost: Callable[[Array], float], start: Array, limits: Array) -> tuple[Array, float]:
+def _minimise_cost(cost: Callable[[Array], float], start: Array, limits: Array) -> tuple[Array, float]:
     """Where a cost of logarithms (P,) is least, and the cost there, between the limits (P,2)."""
     from scipy.optimize import minimize
 
@@ -260,24 +260,24 @@ def _least(cost: Callable[[Array], float], start: Array, limits: Array) -> tuple
     return np.asarray(found.x), float(found.fun)
 
 
-def _nats(pieces: Sequence[Residuals], factors: Array, std: float = 0.0, seconds: float = 1.0) -> float:
+def _residual_nats(pieces: Sequence[Residuals], factors: Array, std: float = 0.0, seconds: float = 1.0) -> float:
     """−ln p of all residuals, for factors (3,) on noise, and a lasting error (rad, s)."""
     total = 0.0
     for piece in pieces:
         cov = _sound_covariance(piece, factors)
-        root = _root(cov + std**2 * piece.lasting(seconds) if std else cov)
+        root = _stable_cholesky(cov + std**2 * piece.lasting(seconds) if std else cov)
         white = np.linalg.solve(root, piece.residual)
         total += float(0.5 * white @ white + np.log(np.diag(root)).sum())
     return total
 
 
-def _root(cov: Array) -> Array:
+def _stable_cholesky(cov: Array) -> Array:
     """The Cholesky factor of a covariance, with as much white noise as rounding needs."""
     size = len(cov)
     return np.linalg.cholesky(cov + _JITTER * np.trace(cov) / size * np.eye(size))
 
 
-def _size(pieces: Sequence[Residuals]) -> float:
+def _encoder_error_size(pieces: Sequence[Residuals]) -> float:
     """The size (rad) that encoder errors have if they make all residuals."""
     squares = sum(float(np.square(piece.residual).sum()) for piece in pieces)
     slopes = sum(float(np.square(piece.slopes).sum()) for piece in pieces)

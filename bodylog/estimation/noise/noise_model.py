@@ -8,14 +8,14 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import UsageError
-from ...settings import Estimation
+from ...settings import EstimationSettings
 from ...types import Array, Finding
-from ..measurements.long_arrays import FEWEST
+from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders, Evidence
 from . import encoder_noise
-from .correlated_noise import NEAR
-from .encoder_noise import Learned
-from .quantisation import relative
+from .correlated_noise import PIXEL_CORRELATION_PX
+from .encoder_noise import LearnedEncoderNoise
+from .quantisation import relative_variances
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class NoiseModel:
     fewer: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
     likeliest: Array | None = None
     evident: Array | None = None
-    learned: tuple[Learned, Learned] | None = None
+    learned: tuple[LearnedEncoderNoise, LearnedEncoderNoise] | None = None
     order: int = 2
     moments: Array | None = None
 
@@ -60,7 +60,7 @@ class NoiseModel:
         Under white noise in derivative p, 1/2p of a steady variance is motion, which is stated only as far as there is
         any. `white`: share of the variance from encoders, whose errors are independent.
         """
-        process = np.maximum(evident, encoder_noise.floor(encoders.t, self.encoder, self.order))
+        process = np.maximum(evident, encoder_noise.least_process_density(encoders.t, self.encoder, self.order))
         stated = 1.0 - white / (2 * self.order) * (1.0 - np.minimum(evident / process, 1.0))
         return replace(self, process=process, stated=stated, evident=evident)
 
@@ -71,31 +71,31 @@ class NoiseModel:
         return np.asarray(share[..., None] * share[..., None, :] * cov)
 
 
-PAPER = (1.0, 1.0, 5.0)
+PAPER_VARIANCES = (1.0, 1.0, 5.0)
 """The paper's variances σ_x of motion and σ_p of encoders (rad²), and σ_v of pixels (px², or of image widths)."""
 
 
-def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseModel:
+def resolve_noise_model(evidence: Evidence, body: BodyModel, settings: EstimationSettings) -> NoiseModel:
     """The noise model of `settings.precision`: `auto` from this log, `model` from the body, `fixed` from the paper."""
     encoder, process = np.array(body.noise.encoder, float), np.array(body.noise.process, float)
     scale = {sighting.name: 1.0 for sighting in evidence.sightings}
     if settings.precision == "fixed":
-        fixed = {s.name: float(PAPER[2] / np.median(s.var)) for s in evidence.sightings if s.name != "touch"}
-        return NoiseModel(np.full(len(encoder), PAPER[1]), process, None, fixed)
+        fixed = {s.name: float(PAPER_VARIANCES[2] / np.median(s.var)) for s in evidence.sightings if s.name != "touch"}
+        return NoiseModel(np.full(len(encoder), PAPER_VARIANCES[1]), process, None, fixed)
     if settings.precision != "auto":
         return NoiseModel(encoder, process, None, scale)
-    near = {s.name: NEAR for s in evidence.sightings if s.name != "touch" and s.cov is None}
+    near = {s.name: PIXEL_CORRELATION_PX for s in evidence.sightings if s.name != "touch" and s.cov is None}
     if evidence.encoders is None:
         return NoiseModel(encoder, process, None, scale, near)
     # white acceleration may take noise for motion where an arm stands and moves by turns, white jerk does not
-    joints = encoder_noise.series(evidence.encoders)
-    jerk = encoder_noise.learn(joints, encoder, process, 3)
-    white = encoder_noise.learn(joints, encoder, process, 2, jerk.dithered)
+    joints = encoder_noise.average_joint_readings(evidence.encoders)
+    jerk = encoder_noise.learn_encoder_noise(joints, encoder, process, 3)
+    white = encoder_noise.learn_encoder_noise(joints, encoder, process, 2, jerk.dithered)
     held = NoiseModel(white.encoder, process, None, scale, near).held(white.process, evidence.encoders)
     return replace(held, learned=(white, jerk))
 
 
-def weighed(evidence: Evidence, precision: NoiseModel, settings: Estimation) -> Evidence:
+def weigh_repeated_readings(evidence: Evidence, precision: NoiseModel, settings: EstimationSettings) -> Evidence:
     """The evidence with larger variances for repeated readings, as of an arm at rest, if noise is learned."""
     encoders = evidence.encoders
     if settings.precision != "auto" or encoders is None or not (np.diff(encoders.values, axis=0) == 0.0).any():
@@ -103,11 +103,11 @@ def weighed(evidence: Evidence, precision: NoiseModel, settings: Estimation) -> 
     found = np.ones(encoders.values.shape)
     for own, column, variance in zip(found.T, encoders.values.T, precision.encoder, strict=True):
         if (known := np.isfinite(column)).any():
-            own[known] = relative(encoders.t[known], column[known], variance)
+            own[known] = relative_variances(encoders.t[known], column[known], variance)
     return replace(evidence, encoders=replace(encoders, relative=found))
 
 
-def carried(body: BodyModel, found: Mapping[str, Any] | None) -> NoiseModel:
+def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> NoiseModel:
     """A filter's noise model from the body, or from an estimate's settings (`NoiseModel.plain`).
 
     UsageError if these are not of this body.
@@ -120,13 +120,13 @@ def carried(body: BodyModel, found: Mapping[str, Any] | None) -> NoiseModel:
     if "likeliest" in found:  # a smoother's process variances are not a filter's
         found = {**found, "process": found["likeliest"], "stated": [1.0] * len(body.joints)}
     shape = (len(body.joints),)
-    encoder, process, stated = (_positive(found, name, shape) for name in ("encoder", "process", "stated"))
-    moments = _positive(found, "moments", (order, *shape)) if "moments" in found else None
+    encoder, process, stated = (_parse_positive_array(found, name, shape) for name in ("encoder", "process", "stated"))
+    moments = _parse_positive_array(found, "moments", (order, *shape)) if "moments" in found else None
     scale, near = dict(found.get("scale", {})), dict(found.get("near", {}))
     return NoiseModel(encoder, process, None, scale, near, stated, order=order, moments=moments)
 
 
-def _positive(found: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Array:
+def _parse_positive_array(found: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Array:
     """Positive numbers of a shape from the settings; UsageError for others."""
     try:
         values = np.asarray(found.get(name), float)
@@ -139,16 +139,16 @@ def _positive(found: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Ar
     raise UsageError(text)
 
 
-def warned(evidence: Evidence, body: BodyModel, settings: Estimation) -> Evidence:
+def warn_of_few_readings(evidence: Evidence, body: BodyModel, settings: EstimationSettings) -> Evidence:
     """The evidence, with a warning if an encoder has too few readings to learn its noise well."""
     if settings.precision != "auto" or evidence.encoders is None:
         return evidence
     counts = np.isfinite(evidence.encoders.values).sum(axis=0)
-    few = [f"{name} {count}" for name, count in zip(body.joints, counts, strict=True) if 0 < count <= FEWEST]
+    few = [f"{name} {count}" for name, count in zip(body.joints, counts, strict=True) if 0 < count <= MIN_READINGS]
     if not few:
         return evidence
     text = (
-        f"encoders: {', '.join(few)} readings, too few to learn their noise from reliably (more than {FEWEST} needed); "
+        f"encoders: {', '.join(few)} readings, too few to learn their noise from reliably (more than {MIN_READINGS} needed); "
         "error bars may be too small"
     )
     return replace(evidence, findings=(*evidence.findings, Finding("warning", text)))

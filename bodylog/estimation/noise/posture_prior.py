@@ -32,13 +32,13 @@ class PosturePrior:
         return np.where(self.joints, self.mean, encoders), np.where(self.joints, self.density / dt, var)
 
 
-def learn_prior(evidence: Evidence, process: Array, start: Array) -> PosturePrior | None:
+def learn_posture_prior(evidence: Evidence, process: Array, start: Array) -> PosturePrior | None:
     """The prior of joints without encoder readings in a log, from the samples of its tracks' models."""
     read = np.zeros(len(process)) if evidence.encoders is None else np.isfinite(evidence.encoders.values).any(axis=0)
-    return prior_of(read == 0, {s.name: s.model for s in evidence.sightings}, process, start)
+    return build_posture_prior(read == 0, {s.name: s.model for s in evidence.sightings}, process, start)
 
 
-def prior_of(
+def build_posture_prior(
     silent: Array, models: Mapping[str, ForwardModel], process: Array, start: Array, order: int = 2
 ) -> PosturePrior | None:  # fmt: skip
     """The prior of the `silent` joints (M,) bool; None if there are none or no model has samples.
@@ -46,7 +46,7 @@ def prior_of(
     The density of pseudo-readings is such that a filter's `steady_variance` equals the variance of the explored angles.
     The mean is that of the explored angles, or the start if only touch was measured.
     """
-    known = _explored(models)
+    known = _sample_statistics(models)
     if not silent.any() or known is None:
         return None
     (mean, std), seen, power = known, any(name != "touch" for name in models), 1.0 / (2 * order)
@@ -55,13 +55,13 @@ def prior_of(
     return PosturePrior(silent, mean if seen else start, density) if silent.any() else None
 
 
-def stationary(models: Mapping[str, ForwardModel], start: Array, precision: NoiseModel) -> Stationary:
+def build_stationary_motion(models: Mapping[str, ForwardModel], start: Array, precision: NoiseModel) -> Stationary:
     """The motion of joints while their encoders are silent.
 
     Derivatives have the log's own mean squares, if known, or a belief's prior ones. Angles have those of the explored
     angles, or more: the log's own, or those that the derivatives need.
     """
-    known, order = _explored(models), precision.order
+    known, order = _sample_statistics(models), precision.order
     mean, std = (start, np.full(len(start), START_STD[0])) if known is None else known
     var = np.stack([np.square(std), *np.repeat(np.square(START_STD[1:order])[:, None], len(start), axis=1)])
     if precision.moments is not None:
@@ -72,7 +72,7 @@ def stationary(models: Mapping[str, ForwardModel], start: Array, precision: Nois
     return Stationary(mean, var, precision.process)
 
 
-def _explored(models: Mapping[str, ForwardModel]) -> tuple[Array, Array] | None:
+def _sample_statistics(models: Mapping[str, ForwardModel]) -> tuple[Array, Array] | None:
     """Mean and standard deviation (M,) rad of the models' samples, or None without any."""
     distinct = {id(model): model for model in models.values()}
     known = [model.samples for model in distinct.values() if hasattr(model, "samples") and len(model.samples) > 1]

@@ -4,9 +4,9 @@ import numpy as np
 
 from ...types import Array
 
-WHOLE = 0.02
+MULTIPLE_TOLERANCE = 0.02
 """Mean distance of steps from multiples of the least one, over it, up to which it is the encoder's; by chance, ¼."""
-ONE = 0.15
+SHARED_ERROR_S = 0.15
 """s: where a reading repeats for longer, motion does not average its error, and the readings share it."""
 
 
@@ -17,35 +17,35 @@ def step_size(y: Array) -> float:
     if not len(steps):
         return 0.0
     counts = steps / steps.min()
-    return float(steps.min()) if np.abs(counts - np.round(counts)).mean() < WHOLE else 0.0
+    return float(steps.min()) if np.abs(counts - np.round(counts)).mean() < MULTIPLE_TOLERANCE else 0.0
 
 
 def shared_variance(t: Array, y: Array) -> float:
     """Factor on the variance of readings (N,) for the errors that repeats share; 1 without repeats."""
     runs = 1 + np.count_nonzero(np.diff(y))
-    return max(1.0, min(float(t[-1] - t[0]) / runs / ONE, len(y) / runs))
+    return max(1.0, min(float(t[-1] - t[0]) / runs / SHARED_ERROR_S, len(y) / runs))
 
 
-def dithered(t: Array, y: Array) -> tuple[Array, float, float]:
+def dither_readings(t: Array, y: Array) -> tuple[Array, float, float]:
     """Readings (N,) dithered over their step, the variance (rad²) of the dither, and the least variance."""
-    step, least = step_size(y), resolved(y) * shared_variance(t, y)
+    step, least = step_size(y), quantisation_variance(y) * shared_variance(t, y)
     if step == 0.0:
         return y, 0.0, least
     return y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y)), step * step / 12.0, least
 
 
-def relative(t: Array, y: Array, variance: float) -> Array:
+def relative_variances(t: Array, y: Array, variance: float) -> Array:
     """Variance of each reading (N,) over the encoder's `variance` (rad²); repeats at rest count as one reading."""
-    own = resolved(y) or variance / shared_variance(t, y)
+    own = quantisation_variance(y) or variance / shared_variance(t, y)
     runs = np.flatnonzero(np.append(True, np.diff(y) != 0.0))
     counts = np.diff(runs, append=len(y))
     lasting = t[np.minimum(runs + counts, len(y) - 1)] - t[runs]
-    shared = np.clip(lasting / ONE, 1.0, counts)
+    shared = np.clip(lasting / SHARED_ERROR_S, 1.0, counts)
     beside = max(variance - own * (shared_variance(t, y) - 1.0), own)
     return np.asarray(np.repeat(beside + own * (shared - 1.0), counts) / variance)
 
 
-def resolved(y: Array) -> float:
+def quantisation_variance(y: Array) -> float:
     """Variance (rad²) of quantisation by the step, or by the least change if readings repeat; 0 if neither."""
     steps = np.abs(np.diff(y))
     moved = steps[steps > 0.0]

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array, Fault, Finding
-from ..faults.threshold import FAR, NATS, SIGMAS
+from ..faults.threshold import PRIOR_STD_RAD, EVIDENCE_THRESHOLD_NATS, CERTAIN_SIGMA
 from ..inference.initial_path import OFFSET_STD
-from .solve import Poses, solved
+from .solve import StillPoses, solve_poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Encoding:
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class EncoderErrors:
     """What positions show of encoder errors at P poses: information Λ (P,M,M) rad⁻² and l (P,M) rad⁻¹.
 
     read (P,M) bool: which encoders were read · span (M,) rad: prior std of the other angles.
@@ -43,7 +43,7 @@ class Errors:
     span: Array
 
 
-def learned(poses: Poses, known: Array, names: tuple[str, ...], noise: bool, bias: str) -> Encoding:
+def learn_pose_encoders(poses: StillPoses, known: Array, names: tuple[str, ...], noise: bool, bias: str) -> Encoding:
     """Learn variances from `known` (M,) rad² if `noise`, and offsets as `bias` (auto, on, off) allows."""
     m = len(known)
     found, seen = Encoding(known, np.zeros(m), np.zeros(m)), np.isfinite(poses.y)
@@ -53,60 +53,60 @@ def learned(poses: Poses, known: Array, names: tuple[str, ...], noise: bool, bia
     x: Array | None = None
     for turn in range(3):
         # at first, angles are where the images want them
-        trusted = poses.encoded(np.maximum(found.variance, FAR**2) if turn == 0 else found.variance, found.offset)
-        errors, x = _errors(poses, trusted, some, x)
-        found = _chosen(errors, known, names, noise, bias, np.log(found.variance))
+        trusted = poses.encoded(np.maximum(found.variance, PRIOR_STD_RAD**2) if turn == 0 else found.variance, found.offset)
+        errors, x = _collect_encoder_errors(poses, trusted, some, x)
+        found = _choose_pose_offsets(errors, known, names, noise, bias, np.log(found.variance))
     return found
 
 
-def _errors(poses: Poses, trusted: Poses, some: Array, x: Array | None) -> tuple[Errors, Array]:
+def _collect_encoder_errors(poses: StillPoses, trusted: StillPoses, some: Array, x: Array | None) -> tuple[EncoderErrors, Array]:
     """What the positions show of the encoder errors at some of the poses, and all angles x (P,M) rad."""
-    at, m = solved(trusted, x), len(poses.centre)
+    at, m = solve_poses(trusted, x), len(poses.centre)
     jac, weight = at.jac[some, m:], (at.weight / at.var)[some, m:, None]
     information = (jac * weight).swapaxes(1, 2) @ jac
     z = poses.y[some, :m]
     apart = np.where(np.isfinite(z), z, poses.centre) - at.x[some]
     pull = (information @ apart[..., None])[..., 0] - (jac * weight * at.r[some, m:, None]).sum(axis=1)
-    return Errors(information, pull, np.isfinite(z), poses.span), at.x
+    return EncoderErrors(information, pull, np.isfinite(z), poses.span), at.x
 
 
-def _chosen(errors: Errors, known: Array, names: tuple[str, ...], noise: bool, bias: str, begin: Array) -> Encoding:
-    """Noise and offsets of greatest evidence; with `auto`, one offset after the other while each wins NATS.
+def _choose_pose_offsets(errors: EncoderErrors, known: Array, names: tuple[str, ...], noise: bool, bias: str, begin: Array) -> Encoding:
+    """Noise and offsets of greatest evidence; with `auto`, one offset after the other while each wins EVIDENCE_THRESHOLD_NATS.
 
     The search for the noise starts at `begin`, the ln variances (M,). Offsets are tried that win at the present noise.
     Where another joint's offset explains nearly as much, none is chosen.
     """
     joints, findings = np.arange(len(known)), list[Finding]()
     free = np.full(len(known), bias == "on")
-    value, log_var = _best(errors, known, free, noise, begin)
+    value, log_var = _maximise_evidence(errors, known, free, noise, begin)
     while bias == "auto":
-        now = evidence(log_var, errors, free)[0]
+        now = position_evidence(log_var, errors, free)[0]
         more = {j: free | (joints == j) for j in joints[~free].tolist()}
-        likely = {j: one for j, one in more.items() if evidence(log_var, errors, one)[0] > now}
-        trials = {j: _best(errors, known, one, noise, log_var) for j, one in likely.items()}
+        likely = {j: one for j, one in more.items() if position_evidence(log_var, errors, one)[0] > now}
+        trials = {j: _maximise_evidence(errors, known, one, noise, log_var) for j, one in likely.items()}
         best = max(trials, key=lambda j: trials[j][0], default=-1)
-        if best < 0 or trials[best][0] - value < NATS:
+        if best < 0 or trials[best][0] - value < EVIDENCE_THRESHOLD_NATS:
             break
-        near = [names[j] for j in trials if trials[best][0] - trials[j][0] < NATS]
+        near = [names[j] for j in trials if trials[best][0] - trials[j][0] < EVIDENCE_THRESHOLD_NATS]
         if len(near) > 1:
             text = f"an offset of {', '.join(near)} explains these poses equally well; another track would decide"
             findings.append(Finding("warning", f"encoders: {text}"))
             break
         free, (value, log_var) = more[best], trials[best]
-    _, _, offset, cov = evidence(log_var, errors, free)
+    _, _, offset, cov = position_evidence(log_var, errors, free)
     return Encoding(np.exp(log_var), offset, np.diag(cov), tuple(findings))
 
 
-def _best(errors: Errors, known: Array, free: Array, noise: bool, begin: Array) -> tuple[float, Array]:
+def _maximise_evidence(errors: EncoderErrors, known: Array, free: Array, noise: bool, begin: Array) -> tuple[float, Array]:
     """Greatest evidence (nats) with offsets `free` (M,), and the ln variances (M,) of encoders where it is reached."""
     from scipy.optimize import minimize
 
     first = np.log(known)
     if not noise:
-        return evidence(first, errors, free)[0], first
+        return position_evidence(first, errors, free)[0], first
 
     def loss(log_var: Array) -> tuple[float, Array]:
-        value, slope, *_ = evidence(log_var, errors, free)
+        value, slope, *_ = position_evidence(log_var, errors, free)
         away = log_var - first - (log_var - first).mean()
         return -value + 0.25 * float(away @ away), -slope + 0.5 * away
 
@@ -115,7 +115,7 @@ def _best(errors: Errors, known: Array, free: Array, noise: bool, begin: Array) 
     return -float(best.fun), np.asarray(best.x)
 
 
-def evidence(log_var: Array, errors: Errors, free: Array) -> tuple[float, Array, Array, Array]:
+def position_evidence(log_var: Array, errors: EncoderErrors, free: Array) -> tuple[float, Array, Array, Array]:
     """ln density (nats, but for a constant) of all positions, and its gradient in the ln of encoder variances (M,).
 
     Then the offsets (M,) rad and their covariance (M,M), 0 except for `free` ones, over which it is integrated.
@@ -125,7 +125,7 @@ def evidence(log_var: Array, errors: Errors, free: Array) -> tuple[float, Array,
     cov = np.linalg.inv(errors.information + eye / variance[:, None])
     mean = (cov @ errors.pull[..., None])[..., 0]  # of errors, for offsets of 0
     share = cov * (read / variance)[:, None]  # its derivative in them
-    prior = np.diag(FAR**2 * free)
+    prior = np.diag(PRIOR_STD_RAD**2 * free)
     ratio = eye + prior @ (read[..., None] * (errors.information @ share)).sum(axis=0)
     spread, score = np.linalg.solve(ratio, prior), (read * mean / variance).sum(axis=0)
     offset = spread @ score
@@ -136,9 +136,9 @@ def evidence(log_var: Array, errors: Errors, free: Array) -> tuple[float, Array,
     return value, 0.5 * (read * (square / variance - 1.0)).sum(axis=0), offset, spread
 
 
-def faults(names: tuple[str, ...], found: Encoding, since: float) -> tuple[Fault, ...]:
+def list_pose_offset_faults(names: tuple[str, ...], found: Encoding, since: float) -> tuple[Fault, ...]:
     """Encoders with a significant offset in all poses."""
-    certain = np.abs(found.offset) > np.maximum(OFFSET_STD, SIGMAS * np.sqrt(found.offset_var))
+    certain = np.abs(found.offset) > np.maximum(OFFSET_STD, CERTAIN_SIGMA * np.sqrt(found.offset_var))
     return tuple(
         Fault("encoders", names[j], "offset", since, float(found.offset[j]), "rad") for j in np.flatnonzero(certain)
     )

@@ -6,20 +6,20 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import EvidenceError, ModelError, UsageError
-from ...settings import Estimation
+from ...settings import EstimationSettings
 from ...types import Array, Capabilities, Estimate, Features, Finding, Series
-from ..faults.screening import screened
-from ..measurements.long_arrays import seen as seen_rows
+from ..faults.screening import screen_measurements
+from ..measurements.long_arrays import find_finite_rows as seen_rows
 from ..measurements.records import Evidence
 from ..noise import typed
-from .encoders import Encoding, faults, learned
-from .solve import Poses, Solved, gathered, solved
+from .encoders import Encoding, list_pose_offset_faults, learn_pose_encoders
+from .solve import StillPoses, SolvedPoses, collect_pose_readings, solve_poses
 
 LEAST_LEFT = 1e-12
 """Least 1 − s at which the other readings predict one: rounding of s, some 1e-16, stays below a thousandth of it."""
 
 
-def estimate(features: Features, body: BodyModel, settings: Estimation, can: Capabilities) -> Estimate:
+def estimate_still_poses(features: Features, body: BodyModel, settings: EstimationSettings, can: Capabilities) -> Estimate:
     """Estimate every pose's angles (P,M) rad and covariance from its own encoders and positions.
 
     UsageError for a method that needs motion; EvidenceError without readings.
@@ -27,33 +27,33 @@ def estimate(features: Features, body: BodyModel, settings: Estimation, can: Cap
     if can.from_paper:
         possible = "laplace, smoother or ekf, which are the same for poses"
         raise UsageError(f"method: {settings.method!r} needs motion, but the log has still poses; type {possible}")
-    evidence = screened(replace(features, touches=None), body, settings)
-    sightings = [s for s in typed.sightings(evidence.sightings, settings) if s.name != "touch"]
-    poses = gathered(evidence.encoders, sightings, body)
+    evidence = screen_measurements(replace(features, touches=None), body, settings)
+    sightings = [s for s in typed.with_typed_variances(evidence.sightings, settings) if s.name != "touch"]
+    poses = collect_pose_readings(evidence.encoders, sightings, body)
     if not len(poses.t):
         raise EvidenceError("no pose has a joint reading or position known to the body; type: bodylog info LOG")
-    known = typed.of_joints(settings.sigma_encoders, body.joints, np.array(body.noise.encoder, float))
+    known = typed.typed_joint_variances(settings.sigma_encoders, body.joints, np.array(body.noise.encoder, float))
     unknown = settings.precision == "auto" and settings.sigma_encoders is None
-    found = learned(poses, known, body.joints, unknown, settings.bias)
+    found = learn_pose_encoders(poses, known, body.joints, unknown, settings.bias)
     poses = poses.encoded(found.variance, found.offset)
-    return _written(settings, body, evidence, poses, found, solved(poses))
+    return _build_pose_estimate(settings, body, evidence, poses, found, solve_poses(poses))
 
 
-def _written(
-    settings: Estimation, body: BodyModel, evidence: Evidence, poses: Poses, found: Encoding, at: Solved
+def _build_pose_estimate(
+    settings: EstimationSettings, body: BodyModel, evidence: Evidence, poses: StillPoses, found: Encoding, at: SolvedPoses
 ) -> Estimate:
     """The public record."""
     t, names, source = poses.t, body.joints, poses.source_ns
     errors, predicted, covs = dict[str, Series](), dict[str, Series](), dict[str, Array]()
     for one, rows in zip(poses.sightings, poses.rows(), strict=True):
-        left, cov = _left_out(poses, at, rows)
+        left, cov = _leave_out_rows(poses, at, rows)
         std, outputs = np.sqrt(np.einsum("pkk->pk", cov)), one.model.outputs
         seen = seen_rows(left)
         errors[one.name] = Series(t[seen], (left / std)[seen], outputs, "std", source[seen])
         mean = np.where(seen[:, None], poses.y[:, rows] - left, poses.predict(at.x)[0][:, rows])
         predicted[one.name], covs[one.name] = Series(t, mean, outputs, "px", source, std), cov
     if np.isfinite(poses.y[:, : len(names)]).any():
-        each = [_left_out(poses, at, slice(j, j + 1)) for j in range(len(names))]
+        each = [_leave_out_rows(poses, at, slice(j, j + 1)) for j in range(len(names))]
         encoders = np.column_stack([left / np.sqrt(cov[:, 0]) for left, cov in each])
         errors["encoders"] = Series(t, encoders, names, "std", source)
     used = {"encoder": found.variance.tolist(), "scale": {s.name: 1.0 for s in poses.sightings}, "motion": "none"}
@@ -63,15 +63,15 @@ def _written(
         settings.method,
         Series(t, at.x, names, "rad", source),
         Series(t, np.zeros(at.x.shape), names, "rad/s", source),
-        _covariance(found, at, body),
+        _pose_covariance(found, at, body),
         errors, at.cost, evidence.used, predicted, covs, used,
         offset if found.offset_var.any() else None,
-        (*evidence.faults, *faults(names, found, float(t[0]))),
+        (*evidence.faults, *list_pose_offset_faults(names, found, float(t[0]))),
         (*evidence.findings, *found.findings, Finding("info", text)),
     )  # fmt: skip
 
 
-def _covariance(found: Encoding, at: Solved, body: BodyModel) -> Array:
+def _pose_covariance(found: Encoding, at: SolvedPoses, body: BodyModel) -> Array:
     """Covariance (P,M,M) of the angles, including the offsets' uncertainty: dx/db = −Λ⁻¹ Σ⁻¹.
 
     Errors in the poses that the tracks were learned from are common to all tracks, so they add to it, too.
@@ -84,7 +84,7 @@ def _covariance(found: Encoding, at: Solved, body: BodyModel) -> Array:
     return np.asarray(at.cov + np.diag(np.square(std)) + (lean * found.offset_var) @ lean.swapaxes(1, 2))
 
 
-def _left_out(poses: Poses, at: Solved, rows: slice) -> tuple[Array, Array]:
+def _leave_out_rows(poses: StillPoses, at: SolvedPoses, rows: slice) -> tuple[Array, Array]:
     """Leave-one-out errors (P,D) of rows of readings, NaN where missing, and their predicted covariance (P,D,D).
 
     With H = J P Jᵀ, R the noise and r the residual, the one left out has the residual R (R − H)⁻¹ r, of covariance R (R

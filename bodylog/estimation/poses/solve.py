@@ -1,6 +1,6 @@
 """Angles of still poses by robust Gauss–Newton, each from its own encoders and positions, all vectorised.
 
-The cost of a pose is ½ Σ ρ(d) over its readings, d in standard deviations: d² within GATE, 2 GATE² ln beyond, so that
+The cost of a pose is ½ Σ ρ(d) over its readings, d in standard deviations: d² within GATE_SIGMA, 2 GATE² ln beyond, so that
 outliers lose influence with distance (the weight of a row is 1, then GATE²/d²).
 """
 
@@ -12,13 +12,13 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array
-from ..inference.gate import GATE
+from ..inference.gate import GATE_SIGMA
 from ..measurements.records import Encoders, Sighting
-from ..measurements.timeline import union
+from ..measurements.timeline import merge_clocks
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
+class StillPoses:
     """P poses: t (P,) s · source_ns · readings y (P,R), NaN if missing, with variances var (P,R).
 
     The first M rows are encoders, rad; those of each sighting follow, px. The prior of an angle is `centre` (M,) with
@@ -35,16 +35,16 @@ class Poses:
 
     def rows(self) -> list[slice]:
         """The rows of each sighting."""
-        return _columns(len(self.centre), self.sightings)
+        return _sighting_columns(len(self.centre), self.sightings)
 
-    def encoded(self, variance: Array, offset: Array) -> "Poses":
+    def encoded(self, variance: Array, offset: Array) -> "StillPoses":
         """The same with encoders of `variance` (M,) rad², their `offset` (M,) rad subtracted."""
         m, y, var = len(offset), self.y.copy(), self.var.copy()
         y[:, :m] -= offset
         var[:, :m] = variance
         return replace(self, y=y, var=var)
 
-    def some(self, chosen: Array) -> "Poses":
+    def some(self, chosen: Array) -> "StillPoses":
         """Some of the poses."""
         return replace(self, **{name: getattr(self, name)[chosen] for name in ("t", "source_ns", "y", "var")})
 
@@ -57,7 +57,7 @@ class Poses:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class SolvedPoses:
     """At each pose: x (P,M) rad · cov (P,M,M) · of the readings, residuals r (P,R), Jacobian (P,R,M), variance (P,R)
     and weights 0..1 · cost (P,), nats: minus the log density of the readings.
     """
@@ -71,10 +71,10 @@ class Solved:
     cost: Array
 
 
-def gathered(encoders: Encoders | None, sightings: Sequence[Sighting], body: BodyModel) -> Poses:
+def collect_pose_readings(encoders: Encoders | None, sightings: Sequence[Sighting], body: BodyModel) -> StillPoses:
     """Collect the readings of every pose, by time."""
-    read, columns = () if encoders is None else (encoders,), _columns(len(body.joints), sightings)
-    t = union(*(sense.t for sense in (*sightings, *read)))
+    read, columns = () if encoders is None else (encoders,), _sighting_columns(len(body.joints), sightings)
+    t = merge_clocks(*(sense.t for sense in (*sightings, *read)))
     width = columns[-1].stop if columns else len(body.joints)
     y, var, sources = np.full((len(t), width), np.nan), np.ones((len(t), width)), np.zeros(len(t), np.int64)
     for sense, own in zip((*sightings, *read), (*columns, slice(0, len(body.joints))), strict=False):
@@ -85,66 +85,66 @@ def gathered(encoders: Encoders | None, sightings: Sequence[Sighting], body: Bod
     explored = np.concatenate(known) if known else y[:, : len(body.joints)]
     low, high = (np.nan_to_num(end.reduce(explored, axis=0, initial=np.nan)) for end in (np.fmin, np.fmax))
     # a joint that was hardly explored may still be anywhere near
-    return Poses(t, sources, y, var, tuple(sightings), (low + high) / 2.0, np.maximum(high - low, 0.1))
+    return StillPoses(t, sources, y, var, tuple(sightings), (low + high) / 2.0, np.maximum(high - low, 0.1))
 
 
-def _columns(first: int, sightings: Sequence[Sighting]) -> list[slice]:
+def _sighting_columns(first: int, sightings: Sequence[Sighting]) -> list[slice]:
     """Columns of each sighting beside each other, the first one's from `first` on."""
     ends = np.cumsum([first, *(s.values.shape[1] for s in sightings)]).tolist()
     return [slice(*each) for each in pairwise(ends)]
 
 
-def solved(poses: Poses, start: Array | None = None) -> Solved:
+def solve_poses(poses: StillPoses, start: Array | None = None) -> SolvedPoses:
     """Most likely angles of every pose, from x (P,M) rad if given."""
     if start is not None:
-        return descended(poses, start)
+        return descend_poses(poses, start)
     z = poses.y[:, : len(poses.centre)]
-    best = descended(poses, np.where(np.isfinite(z), z, poses.centre))
+    best = descend_poses(poses, np.where(np.isfinite(z), z, poses.centre))
     loose = np.flatnonzero(~np.isfinite(z).all(axis=1) & np.isfinite(poses.y[:, z.shape[1] :]).any(axis=1))
     if not len(loose):
         return best
-    tried = descended(poses.some(loose), _guess(poses.some(loose)))
+    tried = descend_poses(poses.some(loose), _guess_postures(poses.some(loose)))
     better = tried.cost < best.cost[loose] - 1e-9
-    return _merged(best, tried, loose[better], better)
+    return _replace_solved_poses(best, tried, loose[better], better)
 
 
-def _merged(whole: Solved, some: Solved, rows: Array, chosen: Array) -> Solved:
+def _replace_solved_poses(whole: SolvedPoses, some: SolvedPoses, rows: Array, chosen: Array) -> SolvedPoses:
     """The solution with `rows` replaced by those chosen (bool) of another."""
     columns = {name: values.copy() for name, values in vars(whole).items()}
     for name, values in columns.items():
         values[rows] = getattr(some, name)[chosen]
-    return Solved(**columns)
+    return SolvedPoses(**columns)
 
 
-def _guess(poses: Poses) -> Array:
+def _guess_postures(poses: StillPoses) -> Array:
     """Angles (P,M) rad from which to search: those of least cost after one step from each explored posture."""
     z, least = poses.y[:, : len(poses.centre)], np.full(len(poses.t), np.inf)
     guess, undamped = np.where(np.isfinite(z), z, poses.centre), np.zeros(len(poses.t))
     explored = [s.model.samples for s in poses.sightings if hasattr(s.model, "samples")]
     for posture in np.unique(np.concatenate([poses.centre[None], *explored]), axis=0):
-        near = _at(poses, np.where(np.isfinite(z), z, posture))
-        near = _at(poses, near.x + _step(poses, near, undamped))
+        near = _evaluate_poses(poses, np.where(np.isfinite(z), z, posture))
+        near = _evaluate_poses(poses, near.x + _damped_step(poses, near, undamped))
         better = near.cost < least
         guess[better], least[better] = near.x[better], near.cost[better]
     return guess
 
 
-def descended(poses: Poses, x: Array) -> Solved:
+def descend_poses(poses: StillPoses, x: Array) -> SolvedPoses:
     """Gauss–Newton with damping for each pose, raised where a step does not lower the cost at fixed variances."""
-    now, damp = _at(poses, x), np.full(len(x), 1e-6)
+    now, damp = _evaluate_poses(poses, x), np.full(len(x), 1e-6)
     for _ in range(60):
-        step = _step(poses, now, damp)
-        tried = _at(poses, now.x + step)
-        better = _misfit(poses, tried, now.var) <= _misfit(poses, now, now.var) + 1e-12
+        step = _damped_step(poses, now, damp)
+        tried = _evaluate_poses(poses, now.x + step)
+        better = _robust_misfit(poses, tried, now.var) <= _robust_misfit(poses, now, now.var) + 1e-12
         size = np.abs(step) / np.sqrt(np.einsum("pmm->pm", now.cov))
         damp = np.where(better, np.maximum(damp * 0.1, 1e-9), damp * 10.0)
-        now = _merged(now, tried, np.flatnonzero(better), better)
+        now = _replace_solved_poses(now, tried, np.flatnonzero(better), better)
         if size.max() < 1e-7:  # standard deviations
             break
     return now
 
 
-def _step(poses: Poses, now: Solved, damp: Array) -> Array:
+def _damped_step(poses: StillPoses, now: SolvedPoses, damp: Array) -> Array:
     """The Gauss–Newton step (P,M), damped along the posterior's axes (Levenberg–Marquardt)."""
     pull = np.einsum("prm,pr->pm", now.jac, now.weight * now.r / now.var) + (poses.centre - now.x) / poses.span**2
     information = np.linalg.inv(now.cov)
@@ -152,21 +152,21 @@ def _step(poses: Poses, now: Solved, damp: Array) -> Array:
     return np.asarray(np.linalg.solve(information, pull[..., None])[..., 0])
 
 
-def _at(poses: Poses, x: Array) -> Solved:
+def _evaluate_poses(poses: StillPoses, x: Array) -> SolvedPoses:
     """Residuals, weights, covariance and cost at x (P,M)."""
     g, jac, model = poses.predict(x)
     var, seen = model + poses.var, np.isfinite(poses.y)
     r = np.where(seen, poses.y - g, 0.0)
-    weight = seen / np.maximum(np.square(r) / (GATE**2 * var), 1.0)
+    weight = seen / np.maximum(np.square(r) / (GATE_SIGMA**2 * var), 1.0)
     information = (jac * (weight / var)[..., None]).swapaxes(1, 2) @ jac + np.diag(poses.span**-2.0)
-    found = Solved(x, np.linalg.inv(information), r, jac, var, weight, np.empty(len(x)))
+    found = SolvedPoses(x, np.linalg.inv(information), r, jac, var, weight, np.empty(len(x)))
     logs = (np.log(2.0 * np.pi * var) * seen).sum(axis=1) + 2.0 * np.log(poses.span).sum()
     logs += np.linalg.slogdet(information)[1]
-    return replace(found, cost=_misfit(poses, found, var) + 0.5 * logs)
+    return replace(found, cost=_robust_misfit(poses, found, var) + 0.5 * logs)
 
 
-def _misfit(poses: Poses, at: Solved, var: Array) -> Array:
+def _robust_misfit(poses: StillPoses, at: SolvedPoses, var: Array) -> Array:
     """Half the robust squares (P,) of all readings, with variances `var` (P,R), and of the prior, in nats."""
-    over = np.square(at.r) / (GATE**2 * var)
-    robust = GATE**2 * (np.minimum(over, 1.0) + np.log(np.maximum(over, 1.0)))
+    over = np.square(at.r) / (GATE_SIGMA**2 * var)
+    robust = GATE_SIGMA**2 * (np.minimum(over, 1.0) + np.log(np.maximum(over, 1.0)))
     return np.asarray(0.5 * (robust.sum(axis=1) + np.square((at.x - poses.centre) / poses.span).sum(axis=1)))

@@ -8,20 +8,20 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import ModelError, UsageError
-from ...settings import Estimation
+from ...settings import EstimationSettings
 from ...types import Estimate, Features, Finding, Hypothesis, Series
-from ..faults.encoder_faults import repaired
-from ..faults.threshold import LATE, NATS
-from ..measurements.gather import camera, gather
+from ..faults.encoder_faults import repair_readings
+from ..faults.threshold import MIN_DELAY_S, EVIDENCE_THRESHOLD_NATS
+from ..measurements.gather import camera_of_track, gather_measurements
 from ..measurements.records import Encoders, Sighting
-from .regression import FARTHEST, Delay, measured
+from .regression import MAX_DELAY_S, Delay, measure_delay_by_regression
 
 INSIGNIFICANT_SIGMA = 3.0
 """Standard errors below which a delay needs no other reason for not being applied."""
 
 
 @dataclass(frozen=True, eq=False)
-class Corrected:
+class CorrectedFeatures:
     """Features with nonzero `delays` (s, by camera) subtracted, standard errors (s) of measured ones, and remarks.
 
     measured: every delay (s) that the log shows, by camera, and why it is not applied · unsure: the part (s) that is
@@ -37,40 +37,40 @@ class Corrected:
     hypotheses: tuple[Hypothesis, ...] = ()
 
 
-def corrected(features: Features, body: BodyModel, given: str | Mapping[str, float] = "auto") -> Corrected:
+def correct_camera_delays(features: Features, body: BodyModel, given: str | Mapping[str, float] = "auto") -> CorrectedFeatures:
     """Subtract each camera's delay: as `given` {camera: s}, none if "off", else measured from the log.
 
     Unless the log contradicts it, a camera keeps the delay of the body's exploration log. UsageError for an unknown
     camera, ModelError for a body with invalid delays.
     """
-    names, learned = cameras([*features.tracks, *body.senses]), learned_delays(body)
+    names, learned = list_track_cameras([*features.tracks, *body.senses]), learned_delays(body)
     fixed = fixed_delays(given, names)
     delays, errors = {name: fixed.get(name, learned.get(name, 0.0)) for name in ("joints", *names)}, dict[str, float]()
-    residuals = measured_delays(shifted(features, delays), body)
+    residuals = measured_delays(shift_features(features, delays), body)
     shown = {
-        name: Delay(delays[name] + rest.seconds, rest.std_error, _reason(rest, name in fixed))
+        name: Delay(delays[name] + rest.seconds, rest.std_error, _reason_not_applied(rest, name in fixed))
         for name, rest in residuals.items()
     }
     free = {name: rest for name, rest in residuals.items() if name not in fixed}
     unsure = {name: rest.seconds for name, rest in free.items() if rest.doubt and is_evident(rest)}
     unapplied = tuple(unapplied_findings(free, delays))
     for name, residual in residuals.items():
-        if significant(residual) and name not in fixed:
+        if is_significant(residual) and name not in fixed:
             own = replace(residual, seconds=delays[name] + residual.seconds)
             # a camera without its learned delay more likely has none than the measured rest
-            keep = not delays[name] or own.nats > NATS
+            keep = not delays[name] or own.nats > EVIDENCE_THRESHOLD_NATS
             delays[name], errors[name] = (own.seconds, own.std_error) if keep else (0.0, 0.0)
     weighed = tuple(
-        Hypothesis("camera late", name, residual.nats, NATS, name not in fixed and significant(residual))
+        Hypothesis("camera late", name, residual.nats, EVIDENCE_THRESHOLD_NATS, name not in fixed and is_significant(residual))
         for name, residual in residuals.items()
     )
     errors = {name: error for name, error in errors.items() if error}
     delays = {name: delay for name, delay in delays.items() if delay}
     findings = (*delay_findings(delays, errors, residuals, fixed), *unapplied)
-    return Corrected(shifted(features, delays), delays, errors, shown, unsure, findings, weighed)
+    return CorrectedFeatures(shift_features(features, delays), delays, errors, shown, unsure, findings, weighed)
 
 
-def _reason(residual: Delay, is_fixed: bool) -> str:
+def _reason_not_applied(residual: Delay, is_fixed: bool) -> str:
     """Why the rest of a delay is not applied; "" if it is."""
     if is_fixed:
         return "the delay is given"
@@ -78,18 +78,18 @@ def _reason(residual: Delay, is_fixed: bool) -> str:
         return residual.doubt
     if abs(residual.seconds) < INSIGNIFICANT_SIGMA * residual.std_error:
         return "it is not significant"
-    if residual.nats <= NATS:
-        return f"its evidence is {residual.nats:.1f} nats, of {NATS:g} needed"
-    return "" if significant(residual) else f"it is less than {1e3 * LATE:g} ms"
+    if residual.nats <= EVIDENCE_THRESHOLD_NATS:
+        return f"its evidence is {residual.nats:.1f} nats, of {EVIDENCE_THRESHOLD_NATS:g} needed"
+    return "" if is_significant(residual) else f"it is less than {1e3 * MIN_DELAY_S:g} ms"
 
 
 def unapplied_findings(residuals: Mapping[str, Delay], applied: Mapping[str, float]) -> Iterator[Finding]:
     """Yield a remark on each rest of a delay that is not applied: a warning where its evidence is sufficient."""
     for name, rest in residuals.items():
-        if doubt := _reason(rest, False):
+        if doubt := _reason_not_applied(rest, False):
             sure = is_evident(rest)
             before = f"{applied[name]:.4f} s corrected; " if applied[name] else ""
-            text = f"{name}: {before}{worded(rest.seconds, rest.std_error)}, not applied, because {doubt}"
+            text = f"{name}: {before}{describe_delay(rest.seconds, rest.std_error)}, not applied, because {doubt}"
             whole = applied[name] + rest.seconds
             advice = f"; error bars include it; type --delay {name}={whole:.4f} to apply it" * sure
             yield Finding("warning" if sure else "info", text + advice)
@@ -107,32 +107,32 @@ def fixed_delays(given: str | Mapping[str, float], names: Iterable[str]) -> dict
     return dict(given)
 
 
-def cameras(tracks: Iterable[str]) -> tuple[str, ...]:
+def list_track_cameras(tracks: Iterable[str]) -> tuple[str, ...]:
     """Names of the cameras of tracks and senses; the first one is called camera."""
-    return tuple(dict.fromkeys(camera(name) for name in tracks if name != "encoders"))
+    return tuple(dict.fromkeys(camera_of_track(name) for name in tracks if name != "encoders"))
 
 
-def significant(delay: Delay, least: float = LATE) -> bool:
+def is_significant(delay: Delay, least: float = MIN_DELAY_S) -> bool:
     """Whether a delay is evident and not in doubt."""
     return not delay.doubt and is_evident(delay, least)
 
 
-def is_evident(delay: Delay, least: float = LATE) -> bool:
-    """Whether a delay wins more than NATS and exceeds `least` s, in doubt or not."""
-    return bool(delay.nats > NATS and abs(delay.seconds) > least)
+def is_evident(delay: Delay, least: float = MIN_DELAY_S) -> bool:
+    """Whether a delay wins more than EVIDENCE_THRESHOLD_NATS and exceeds `least` s, in doubt or not."""
+    return bool(delay.nats > EVIDENCE_THRESHOLD_NATS and abs(delay.seconds) > least)
 
 
-def shifted(features: Features, delays: Mapping[str, float]) -> Features:
+def shift_features(features: Features, delays: Mapping[str, float]) -> Features:
     """Subtract delays (s) from the times of each camera's tracks and of the joints."""
-    tracks = {name: _shifted(track, delays.get(camera(name), 0.0)) for name, track in features.tracks.items()}
-    joints = None if features.joints is None else _shifted(features.joints, delays.get("joints", 0.0))
+    tracks = {name: _shift_series(track, delays.get(camera_of_track(name), 0.0)) for name, track in features.tracks.items()}
+    joints = None if features.joints is None else _shift_series(features.joints, delays.get("joints", 0.0))
     return replace(features, tracks=tracks, joints=joints)
 
 
 def measured_delays(features: Features, body: BodyModel) -> dict[str, Delay]:
     """Measure each camera's delay relative to the encoders, where the log determines it."""
     encoders, seen = sound_measurements(features, body)
-    found = {} if encoders is None else {name: measured(encoders, tracks) for name, tracks in seen.items()}
+    found = {} if encoders is None else {name: measure_delay_by_regression(encoders, tracks) for name, tracks in seen.items()}
     return {name: delay for name, delay in found.items() if delay is not None}
 
 
@@ -143,13 +143,13 @@ def sound_measurements(
     joints, seen = features.joints, dict[str, list[Sighting]]()
     if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
         return None, {}
-    found = gather(features, body, Estimation(without=("touch",)))
+    found = gather_measurements(features, body, EstimationSettings(without=("touch",)))
     for sighting in (one for one in found.sightings if one.name in features.tracks):
-        seen.setdefault(camera(sighting.name), []).append(sighting)
-    return None if found.encoders is None else repaired(found.encoders), seen
+        seen.setdefault(camera_of_track(sighting.name), []).append(sighting)
+    return None if found.encoders is None else repair_readings(found.encoders), seen
 
 
-def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimate:
+def restore_stamps(found: Estimate, features: Features, timely: Features) -> Estimate:
     """Return an estimate from the `timely` features with the images' original timestamps of `features`."""
 
     def stamped(name: str, series: Series) -> Series:
@@ -164,7 +164,7 @@ def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimat
     return replace(found, errors=errors, predicted=predicted)
 
 
-def add_delay_uncertainty(found: Estimate, timely: Corrected) -> Estimate:
+def add_delay_uncertainty(found: Estimate, timely: CorrectedFeatures) -> Estimate:
     """Add the uncertainty of measured delays to the covariance: a delay shifts the estimate along its rate.
 
     All cameras are measured against the same encoders, so their errors are correlated. A delay that has the evidence
@@ -173,7 +173,7 @@ def add_delay_uncertainty(found: Estimate, timely: Corrected) -> Estimate:
     errors = {**timely.errors, **timely.unsure}
     if not errors:
         return found
-    cameras_measured = {camera(name) for name in timely.features.tracks}
+    cameras_measured = {camera_of_track(name) for name in timely.features.tracks}
     rate, var = found.rate.values, sum(error**2 for error in errors.values()) / len(cameras_measured)
     return replace(found, cov=found.cov + var * rate[:, :, None] * rate[:, None, :])
 
@@ -184,26 +184,26 @@ def delay_findings(
     """Yield a warning for each measured delay, and for each `fixed` one that the log contradicts (`residuals`)."""
     for name in (name for name in {**delays, **residuals} if name != "joints"):
         delay, residual = delays.get(name, 0.0), residuals.get(name)
-        if name in fixed and residual is not None and significant(residual):
+        if name in fixed and residual is not None and is_significant(residual):
             own = replace(residual, seconds=delay + residual.seconds)
             given = f"--delay {name}={delay:g}" if delay else "not corrected"
-            better = f"{own.seconds:.4f}" if own.nats > NATS else "0"
+            better = f"{own.seconds:.4f}" if own.nats > EVIDENCE_THRESHOLD_NATS else "0"
             advice = f"error bars are too small for that; type --delay {name}={better}"
-            yield Finding("warning", f"{name}: {worded(own.seconds, own.std_error)} ({given}): {advice}")
+            yield Finding("warning", f"{name}: {describe_delay(own.seconds, own.std_error)} ({given}): {advice}")
         elif name in errors:
             advice = f"type --delay {name}={delay:.4f} to confirm it, --delay off to keep the timestamps"
-            yield Finding("warning", f"{name}: {worded(delay, errors[name])}, corrected; {advice}")
+            yield Finding("warning", f"{name}: {describe_delay(delay, errors[name])}, corrected; {advice}")
         elif name not in fixed and delay:
-            yield Finding("info", f"{name}: {worded(delay)}, as in the exploration log, corrected")
+            yield Finding("info", f"{name}: {describe_delay(delay)}, as in the exploration log, corrected")
 
 
-def worded(seconds: float, error: float | None = None) -> str:
+def describe_delay(seconds: float, error: float | None = None) -> str:
     """The delay of image timestamps in words, ± its standard error (s)."""
     about = "" if error is None else f" ± {error:.4f}"
     return f"image timestamps {'lag' if seconds > 0 else 'lead'} the encoders by {abs(seconds):.4f}{about} s"
 
 
-def _shifted(series: Series, delay: float) -> Series:
+def _shift_series(series: Series, delay: float) -> Series:
     return replace(series, t=series.t - delay) if delay else series
 
 
@@ -211,7 +211,7 @@ def learned_delays(body: BodyModel) -> dict[str, float]:
     """Delays (s) by camera that a body was learned with; ModelError for anything else in its provenance."""
     found = body.provenance.get("delay", {})
     if not isinstance(found, Mapping) or not all(
-        isinstance(delay, int | float) and isfinite(delay) and abs(delay) <= FARTHEST for delay in found.values()
+        isinstance(delay, int | float) and isfinite(delay) and abs(delay) <= MAX_DELAY_S for delay in found.values()
     ):
         raise ModelError(f"provenance.delay: found {found!r}, possible: seconds by camera")
     return {str(name): float(delay) for name, delay in found.items()}

@@ -39,7 +39,7 @@ POSTURE_LENGTH_RAD = 0.7
 """Length scale over which the picture's motion per joint motion changes: half a right angle."""
 CONSTANT_SHARE = 0.5
 """Prior variance of the part of J that no posture changes, over that of the part that varies."""
-FREEDOM = 4.0
+DEGREES_OF_FREEDOM = 4.0
 """Degrees of freedom of the noise's t distribution."""
 NOISE_RATIOS = np.exp(np.linspace(-9.0, 6.0, 31))
 """Ratios of the noise's variance to the mean eigenvalue of the motion's covariance that are tried."""
@@ -76,7 +76,7 @@ class FlowDelay:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _FlowPart:
     """A stretch of a log: flow components (N,C), times (N,2) s, weights of the cells' rows (N,)."""
 
     components: Array
@@ -96,10 +96,10 @@ def estimate_flow_delay(
     if not parts:
         return None
     scans = [_scan_group(joints, parts, group) for group in groups if group]
-    told = [scan for scan in scans if scan is not None]
-    if not told:
+    usable_scans = [scan for scan in scans if scan is not None]
+    if not usable_scans:
         return None
-    scan = max(told, key=lambda one: one.nats)
+    scan = max(usable_scans, key=lambda one: one.nats)
     delay = _refined_delay(parts, scan)
     row = _mean_row(flow)
     row_std_s = abs(row) * row_time_s
@@ -126,7 +126,7 @@ def _measure_row_time(
     delays, variances, places = [], [], []
     for half in (slice(0, cut), slice(cut, None)):
         parts = _split_into_parts(times, flow[:, half], joints)
-        found, curvature = _refine(parts, scan.motion, seconds)
+        found, curvature = _refine_evidence_peak(parts, scan.motion, seconds)
         if curvature <= 0.0 or abs(found - seconds) > FAR_S:
             return None
         delays.append(found)
@@ -136,7 +136,7 @@ def _measure_row_time(
     return Delay((delays[0] - delays[1]) / apart, float(np.sqrt(sum(variances))) / apart)
 
 
-def _split_into_parts(times: Array, flow: Array, joints: Series) -> list[_Part]:
+def _split_into_parts(times: Array, flow: Array, joints: Series) -> list[_FlowPart]:
     """Stretches of intervals for which the joints are known at every searched delay."""
     if not len(joints.t):
         return []
@@ -150,7 +150,7 @@ def _split_into_parts(times: Array, flow: Array, joints: Series) -> list[_Part]:
     size = count // number
     chosen = np.unique(np.linspace(0, number - 1, min(number, MOST_PARTS)).round().astype(int))
     return [
-        _Part(components[k * size : (k + 1) * size], times[k * size : (k + 1) * size])
+        _FlowPart(components[k * size : (k + 1) * size], times[k * size : (k + 1) * size])
         for k in chosen.tolist()
     ]
 
@@ -199,7 +199,7 @@ class _GroupScan:
 
 
 def _scan_group(
-    joints: Series, parts: Sequence[_Part], group: tuple[int, ...]
+    joints: Series, parts: Sequence[_FlowPart], group: tuple[int, ...]
 ) -> _GroupScan | None:
     """The evidence that a group of joints gives for a delay; None where none of them moves."""
     motion = _JointMotion.of(joints, group)
@@ -214,9 +214,9 @@ def _scan_group(
     return _GroupScan(motion, group, float(tried[best]), nats, edge)
 
 
-def _refined_delay(parts: Sequence[_Part], scan: _GroupScan) -> Delay:
+def _refined_delay(parts: Sequence[_FlowPart], scan: _GroupScan) -> Delay:
     """The delay of highest evidence near that of a scan, with the larger of two standard errors."""
-    seconds, curvature = _refine(parts, scan.motion, scan.seconds)
+    seconds, curvature = _refine_evidence_peak(parts, scan.motion, scan.seconds)
     std_s = curvature**-0.5 if curvature > 0.0 else LATEST_S - EARLIEST_S
     scatter_s = _jackknife_std(parts, scan.motion, seconds)
     return Delay(seconds, max(std_s, scatter_s))
@@ -273,7 +273,7 @@ def _widest_range(values: Array) -> float:
     return max(float(np.where(finite.any(axis=0), high - low, 0.0).max(initial=0.0)), 1e-12)
 
 
-def _scan_evidence(part: _Part, motion: _JointMotion, delays: Array) -> Array:
+def _scan_evidence(part: _FlowPart, motion: _JointMotion, delays: Array) -> Array:
     """Log marginal likelihood (K,) at ascending delays; each takes its neighbour's weights, which differ little."""
     weights = np.ones(len(part.times))
     found = np.empty(len(delays))
@@ -283,11 +283,11 @@ def _scan_evidence(part: _Part, motion: _JointMotion, delays: Array) -> Array:
     return found
 
 
-def _total_evidence(parts: Sequence[_Part], motion: _JointMotion, delay: float) -> float:
-    return sum(_evidence(part, motion, delay) for part in parts)
+def _total_evidence(parts: Sequence[_FlowPart], motion: _JointMotion, delay: float) -> float:
+    return sum(_part_evidence(part, motion, delay) for part in parts)
 
 
-def _evidence(part: _Part, motion: _JointMotion, delay: float) -> float:
+def _part_evidence(part: _FlowPart, motion: _JointMotion, delay: float) -> float:
     """Log marginal likelihood (nats) of a part's flow at a delay (s), noise and amplitude at their best."""
     covariance, shape = motion.covariance_and_noise(part.times, delay)
     weights = np.ones(len(shape))
@@ -318,15 +318,15 @@ def _evidence_and_weights(
     evidence = -0.5 * (count * np.log(scales) + determinants[:, None] + count)
     best = evidence.argmax(axis=0)
     total = float(evidence[best, np.arange(width)].sum()) - 0.5 * width * float(np.log(noise).sum())
-    total += float(0.5 * FREEDOM * (np.log(weights) - weights + 1.0).sum())
+    total += float(0.5 * DEGREES_OF_FREEDOM * (np.log(weights) - weights + 1.0).sum())
     spread = spectra[best].T  # (N,C)
     diagonal = vectors**2 @ (1.0 / spread)
     residual = vectors @ (rotated / spread) / diagonal  # R&W (5.12)
     squares = (residual**2 * diagonal / scales[best, np.arange(width)]).sum(axis=1)
-    return total, np.clip((FREEDOM + width) / (FREEDOM + squares / weights), 1e-4, 3.0)
+    return total, np.clip((DEGREES_OF_FREEDOM + width) / (DEGREES_OF_FREEDOM + squares / weights), 1e-4, 3.0)
 
 
-def _refine(parts: Sequence[_Part], motion: _JointMotion, delay: float) -> tuple[float, float]:
+def _refine_evidence_peak(parts: Sequence[_FlowPart], motion: _JointMotion, delay: float) -> tuple[float, float]:
     """The delay of highest evidence near `delay`, and the negative curvature of the evidence there (1/s²)."""
     curvature = 0.0
     for step in FINE_STEPS_S:
@@ -342,17 +342,17 @@ def _refine(parts: Sequence[_Part], motion: _JointMotion, delay: float) -> tuple
     return delay, curvature
 
 
-def _jackknife_std(parts: Sequence[_Part], motion: _JointMotion, delay: float) -> float:
+def _jackknife_std(parts: Sequence[_FlowPart], motion: _JointMotion, delay: float) -> float:
     """σ of the delay (s) from delays that leave out one block of intervals each (Künsch 1989)."""
     step = FINE_STEPS_S[0]
     around = delay + step * np.array([-1.0, 0.0, 1.0])
-    whole = np.array([[_evidence(part, motion, float(x)) for x in around] for part in parts])
+    whole = np.array([[_part_evidence(part, motion, float(x)) for x in around] for part in parts])
     delays = []
     share = JACKKNIFE_BLOCKS // len(parts)
     for number, part in enumerate(parts):
         for block in np.array_split(np.arange(len(part.times)), share):
-            rest = _Part(np.delete(part.components, block, axis=0), np.delete(part.times, block, axis=0))
-            reduced = np.array([_evidence(rest, motion, float(x)) for x in around])
+            rest = _FlowPart(np.delete(part.components, block, axis=0), np.delete(part.times, block, axis=0))
+            reduced = np.array([_part_evidence(rest, motion, float(x)) for x in around])
             left, middle, right = whole.sum(axis=0) - whole[number] + reduced
             curvature = (2.0 * middle - left - right) / step**2
             shift = 0.5 * (right - left) / (curvature * step) if curvature > 0.0 else step

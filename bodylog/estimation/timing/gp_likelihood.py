@@ -11,46 +11,46 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ...types import Array
-from ..inference.convergence import ROUGHLY, SWEEPS
-from ..measurements.long_arrays import FEWEST, median
+from ..inference.convergence import ROUGHLY_CONVERGED_MOVE, MAX_SWEEPS
+from ..measurements.long_arrays import MIN_READINGS, median_by_pivot
 from ..measurements.records import Encoders, Sighting
-from ..measurements.track_curve import BLUNDER, MOST, Curve, interpolated, track_curve
-from .regression import FARTHEST, Delay
+from ..measurements.track_curve import BLUNDER_MEDIANS, MAX_CURVE_MEANS, Curve, interpolate_curve, track_curve
+from .regression import MAX_DELAY_S, Delay
 
 Prior = Callable[[Array], tuple[Array, Array]]
 """The prior of a track at angles (B,M) rad: mean (D,) px and covariance (D,B,B) px²."""
 
 
-def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prior]) -> Delay | None:
+def measure_delay_by_likelihood(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prior]) -> Delay | None:
     """The delay of one camera's tracks; None where they are too short."""
     curves = [
         (curve, *prior(curve.x)) for track, prior in zip(seen, priors, strict=True)
-        if (curve := track_curve(encoders, track, MOST // len(seen))) is not None
+        if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen))) is not None
     ]  # fmt: skip
     late = 0.0
-    for _ in range(SWEEPS):
-        parts = [_sums(curve, mean, cov, late) for curve, mean, cov in curves]
+    for _ in range(MAX_SWEEPS):
+        parts = [_delay_sums(curve, mean, cov, late) for curve, mean, cov in curves]
         # tracks beside the same encoders have correlated errors
         pull, weight = np.sum(parts, axis=0) / len(parts) if parts else (0.0, 0.0)
-        if weight <= 0.0 or abs(late) > FARTHEST:
+        if weight <= 0.0 or abs(late) > MAX_DELAY_S:
             return None
         error = weight**-0.5
         late -= float(pull / weight)
-        if abs(pull / weight) < ROUGHLY * error:
+        if abs(pull / weight) < ROUGHLY_CONVERGED_MOVE * error:
             return Delay(late, error)
     return None
 
 
-def _sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, float]:
+def _delay_sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, float]:
     """ẏᵀK⁻¹(y − m) and ẏᵀK⁻¹ẏ of a curve delayed by `late` s, less their noise; zeros where too little is left."""
-    place, speed, value, slope, first, sound = interpolated(curve, late)
+    place, speed, value, slope, first, sound = interpolate_curve(curve, late)
     off = np.linalg.norm(place - curve.predicted, axis=1)
-    if sound.sum() < FEWEST:
+    if sound.sum() < MIN_READINGS:
         return 0.0, 0.0
     # positions far from the learned mean are blunders, too
-    rows = np.flatnonzero(sound & (off <= BLUNDER * median(off[sound])))
+    rows = np.flatnonzero(sound & (off <= BLUNDER_MEDIANS * median_by_pivot(off[sound])))
     noise = curve.noise + np.einsum("bdm,bm->bd", np.square(curve.jac[rows]), curve.encoder[rows])
-    placed, moved = (_shares(part[rows], first[rows], len(curve.t)) for part in (value, slope))
+    placed, moved = (_scatter_weights(part[rows], first[rows], len(curve.t)) for part in (value, slope))
     cross, own = moved @ placed.T, moved @ moved.T
     pull, weight = 0.0, 0.0
     for d, prior in enumerate(cov):
@@ -62,7 +62,7 @@ def _sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, fl
     return float(pull), float(weight)
 
 
-def _shares(weights: Array, first: Array, count: int) -> Array:
+def _scatter_weights(weights: Array, first: Array, count: int) -> Array:
     """Weights (B,4) of the four images from `first` (B,) on as a matrix (B,count)."""
     found = np.zeros((len(weights), count))
     found[np.arange(len(weights))[:, None], first[:, None] + np.arange(4)] = weights

@@ -13,16 +13,16 @@ from math import isqrt
 import numpy as np
 
 from ...types import Array
-from ..inference.convergence import ROUGHLY, SWEEPS
-from ..measurements.long_arrays import FEWEST
+from ..inference.convergence import ROUGHLY_CONVERGED_MOVE, MAX_SWEEPS
+from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders, Sighting
-from ..measurements.track_curve import MOST, Rows, regression_rows, track_curve
+from ..measurements.track_curve import MAX_CURVE_MEANS, RegressionRows, regression_rows, track_curve
 
-FARTHEST = 1.0
+MAX_DELAY_S = 1.0
 """s: largest delay."""
-TAME = 4.0
+HALF_WEIGHT_SQUARE = 4.0
 """Squared residuals over their variance that have half weight."""
-ONE = 0.61
+LEAST_WEIGHT_SHARE = 0.61
 """Least share of the information that keeps its weight where one delay fits the log. The share is 0.72 for normal
 errors, 0.61 and more in 197 of 200 logs with a drifting encoder, 0.43 to 0.64 where a clock steps by 0.3 s. A log with
 play, sag and correlated errors has 0.58, too; its halves agree."""
@@ -44,16 +44,16 @@ class Delay:
         return 0.5 * (self.seconds / self.std_error) ** 2
 
 
-def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
+def measure_delay_by_regression(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
     """The delay of one camera's tracks; None where motion is too small or too short.
 
     Where much of the log has lost its weight, the delay is in doubt unless both halves of the log show it.
     """
-    whole = _regressed(encoders, seen)
-    if whole is None or whole[1] >= ONE:
+    whole = _regress_delay(encoders, seen)
+    if whole is None or whole[1] >= LEAST_WEIGHT_SHARE:
         return None if whole is None else whole[0]
     delay, middle = whole[0], float(np.median(np.concatenate([one.t for one in seen])))
-    parts = [_regressed(encoders, [one.cut(*span) for one in seen]) for span in ((-np.inf, middle), (middle, np.inf))]
+    parts = [_regress_delay(encoders, [one.cut(*span) for one in seen]) for span in ((-np.inf, middle), (middle, np.inf))]
     found = [part[0] for part in parts if part is not None]
     if len(found) < len(parts):
         return replace(delay, doubt="much of the log contradicts it, and half of the log shows no delay")
@@ -64,57 +64,57 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
     return replace(delay, doubt=f"the halves of the log show {each}")
 
 
-def _regressed(encoders: Encoders, seen: Sequence[Sighting]) -> tuple[Delay, float] | None:
+def _regress_delay(encoders: Encoders, seen: Sequence[Sighting]) -> tuple[Delay, float] | None:
     """The delay of one camera's tracks, and the share of the information that kept its weight."""
-    curves = [curve for track in seen if (curve := track_curve(encoders, track, MOST // len(seen))) is not None]
+    curves = [curve for track in seen if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen))) is not None]
     late = 0.0
-    for _ in range(SWEEPS):
+    for _ in range(MAX_SWEEPS):
         each = [regression_rows(curve, late) for curve in curves]
-        if sum(len(one.t) for one in each) < FEWEST:
+        if sum(len(one.t) for one in each) < MIN_READINGS:
             return None
-        rows = _together(each)
+        rows = _join_regression_rows(each)
         if rows.misfit.size < 2 * rows.slopes.shape[-1]:
             return None
-        step, weight, spread = _fitted(rows)
-        lean = np.linalg.solve(_sums(rows, weight)[0], np.eye(rows.slopes.shape[-1])[0])
+        step, weight, spread = _fit_delay_step(rows)
+        lean = np.linalg.solve(_normal_sums(rows, weight)[0], np.eye(rows.slopes.shape[-1])[0])
         # the inverse of the information in the track's speed without noise; below the noise, nothing moved
         if not 0.0 < lean[0] * float(weight @ rows.own) < 1.0:
             return None
-        own = np.sqrt(spread * _variance(rows, weight[:, None] * (rows.slopes @ lean)))
+        own = np.sqrt(spread * _pull_variance(rows, weight[:, None] * (rows.slopes @ lean)))
         late += step
-        if abs(step) < ROUGHLY * own:
+        if abs(step) < ROUGHLY_CONVERGED_MOVE * own:
             information = np.square(rows.slopes @ lean).sum(axis=1)
             parts = isqrt(min(len(curve.t) for curve in curves))
-            delay = Delay(late, max(own, _jackknife(rows, weight, parts)))
+            delay = Delay(late, max(own, _jackknife_error(rows, weight, parts)))
             return delay, float(weight @ information / information.sum())
-        if abs(late) > FARTHEST:
+        if abs(late) > MAX_DELAY_S:
             return None
     return None
 
 
-def _jackknife(rows: Rows, weight: Array, parts: int) -> float:
+def _jackknife_error(rows: RegressionRows, weight: Array, parts: int) -> float:
     """Standard error (s) of the delay by a jackknife over parts of the log."""
     bounds = np.linspace(0, len(rows.t), parts + 1).astype(int)
-    sums = [_sums(rows.some(slice(*ends)), weight[slice(*ends)]) for ends in pairwise(bounds)]
+    sums = [_normal_sums(rows.some(slice(*ends)), weight[slice(*ends)]) for ends in pairwise(bounds)]
     normal, pull = (np.stack(each) for each in zip(*sums, strict=True))
     without = np.linalg.solve(normal.sum(axis=0) - normal, (pull.sum(axis=0) - pull)[..., None])[:, 0, 0]
     return float(np.sqrt((1.0 - 1.0 / len(sums)) * np.square(without - without.mean()).sum()))
 
 
-def _fitted(rows: Rows) -> tuple[float, Array, float]:
+def _fit_delay_step(rows: RegressionRows) -> tuple[float, Array, float]:
     """The next step (s), robust weights (R,), and the residual variance: 1 where noise is as stated."""
     weight, spread = np.ones(len(rows.t)), 1.0
-    for _ in range(SWEEPS):
-        beta = np.linalg.solve(*_sums(rows, weight))
+    for _ in range(MAX_SWEEPS):
+        beta = np.linalg.solve(*_normal_sums(rows, weight))
         squares = np.square(rows.misfit - rows.slopes @ beta).sum(axis=1)
         spread = float(np.median(squares)) / (2.0 * np.log(2.0)) + np.finfo(float).tiny
-        before, weight = weight, 1.0 / (1.0 + squares / (TAME * spread))
-        if np.abs(weight - before).max() < ROUGHLY:
+        before, weight = weight, 1.0 / (1.0 + squares / (HALF_WEIGHT_SQUARE * spread))
+        if np.abs(weight - before).max() < ROUGHLY_CONVERGED_MOVE:
             break
     return float(beta[0]), weight, spread
 
 
-def _variance(rows: Rows, pull: Array) -> float:
+def _pull_variance(rows: RegressionRows, pull: Array) -> float:
     """Variance of the sum of misfits (R,2) times `pull` (R,2), for a residual variance of 1.
 
     Neighbouring misfits are interpolated from the same images, so their noise is correlated, and less than an image's.
@@ -130,7 +130,7 @@ def _variance(rows: Rows, pull: Array) -> float:
     return float(total * 2.0 / (residual.mean() * free))
 
 
-def _sums(rows: Rows, weight: Array) -> tuple[Array, Array]:
+def _normal_sums(rows: RegressionRows, weight: Array) -> tuple[Array, Array]:
     """Normal matrix and right side of the weighted regression, corrected for noise in the track's speed."""
     size = rows.slopes.shape[-1]
     heavy = (rows.slopes * weight[:, None, None]).reshape(-1, size).T
@@ -141,11 +141,11 @@ def _sums(rows: Rows, weight: Array) -> tuple[Array, Array]:
     return normal, pull
 
 
-def _together(parts: Sequence[Rows]) -> Rows:
+def _join_regression_rows(parts: Sequence[RegressionRows]) -> RegressionRows:
     """Rows of all curves in order of time."""
     if len(parts) == 1:
         return parts[0]
     counts = np.cumsum([0, *(part.frames.max(initial=0) + 1 for part in parts)])
     parts = [replace(part, frames=part.frames + count) for part, count in zip(parts, counts, strict=False)]
-    rows = Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__annotations__))
+    rows = RegressionRows(*(np.concatenate([getattr(part, name) for part in parts]) for name in RegressionRows.__annotations__))
     return rows.some(np.argsort(rows.t, kind="stable"))

@@ -11,17 +11,17 @@ from ..diagnostics import Diagnostics
 from ..formats import open_log
 from ..limits import LIMITS, Input
 from ..mcap.records import is_mcap
-from ..protocol import Log, Progress, counted
+from ..protocol import Log, Progress, count_progress
 from ..records import Finding
-from ..rosbag2.folder import METADATA, members, metadata_of
-from ..storage.mmapped import check_untruncated, mapped
+from ..rosbag2.folder import METADATA, list_member_files, metadata_of
+from ..storage.mmapped import check_untruncated, map_file
 from ..storage.packed_files import is_packed, unpack_file
-from .rewrite import repair
+from .rewrite import rewrite_sound_messages
 
 if TYPE_CHECKING:
     from ..datasets.checks import Checks
 
-__all__ = ["examine", "repair"]
+__all__ = ["examine_log_file", "rewrite_sound_messages"]
 
 
 @dataclass
@@ -52,45 +52,45 @@ class _GroupedFindings:
             yield Finding("warning", f"{self._path}: {texts[0]}{more}")
 
 
-def examine(
+def examine_log_file(
     path: Path, strict: bool = False, limits: Input = LIMITS, progress: Progress | None = None
 ) -> tuple[Finding, ...]:
     """Read a log to its end and return all its problems; LogError if it is no log, or strict and part is lost."""
-    if several := _episodes(path):
+    if several := _list_dataset_episodes(path):
         whole, *found = several
-        rest = (finding for one in found for finding in examine(one, strict, limits, progress))
-        return tuple(dict.fromkeys((*_dataset(whole), *rest)))
+        rest = (finding for one in found for finding in examine_log_file(one, strict, limits, progress))
+        return tuple(dict.fromkeys((*_examine_every_episode(whole), *rest)))
     groups = _GroupedFindings(path)
     with open_log(path, strict, limits) as log:
-        seen = _read(log, checks := _checks(log, limits), progress)
-        _compare(log, seen, groups)
+        seen = _read_all_messages(log, checks := _episode_checks(log, limits), progress)
+        _compare_topic_counts(log, seen, groups)
         for number, text in enumerate(checks.texts() if checks else ()):
             groups.say(f"dataset {number}", text)
         if log.format == "rosbag2":
-            _metadata(log, seen, groups)
+            _compare_metadata(log, seen, groups)
         own = log.findings
-    inner = [found for file in _mcaps(path) for found in _check(file, limits)]
+    inner = [found for file in _mcap_files_in(path) for found in _check_mcap_file(file, limits)]
     return tuple(dict.fromkeys((*own, *groups.findings(), *inner)))
 
 
-def _episodes(path: Path) -> list[Path]:
+def _list_dataset_episodes(path: Path) -> list[Path]:
     """The dataset and its episodes if the path names no single episode; else nothing."""
     from ..datasets import kinds
 
-    if episodes.split(path)[1] is not None or not path.is_dir() or not kinds.is_dataset(path):
+    if episodes.split_episode_name(path)[1] is not None or not path.is_dir() or not kinds.is_episode_dataset(path):
         return []
-    there = kinds.numbers(path)
-    return [path, *(episodes.named(path, number) for number in there)] if there else []
+    there = kinds.episode_numbers(path)
+    return [path, *(episodes.name_episode(path, number) for number in there)] if there else []
 
 
-def _dataset(folder: Path) -> Iterator[Finding]:
+def _examine_every_episode(folder: Path) -> Iterator[Finding]:
     from ..datasets import checks, lerobot_layout
 
-    known = lerobot_layout.layout(folder)
+    known = lerobot_layout.read_dataset_layout(folder)
     yield from (Finding("warning", f"{folder}: {text}") for text in checks.of_dataset(known))
 
 
-def _checks(log: Log, limits: Input) -> "Checks | None":
+def _episode_checks(log: Log, limits: Input) -> "Checks | None":
     """The checks of a dataset episode's images and joints."""
     from ..datasets.checks import Checks
     from ..datasets.episode_log import EpisodeLog
@@ -98,9 +98,9 @@ def _checks(log: Log, limits: Input) -> "Checks | None":
     return Checks(log, limits) if isinstance(log, EpisodeLog) else None
 
 
-def _read(log: Log, checks: "Checks | None", progress: Progress | None) -> dict[int, _Seen]:
+def _read_all_messages(log: Log, checks: "Checks | None", progress: Progress | None) -> dict[int, _Seen]:
     seen = {topic.id: _Seen() for topic in log.topics}
-    for batch in counted(log.batches(), progress):
+    for batch in count_progress(log.batches(), progress):
         if checks is not None:
             checks.add(batch)
         one, times = seen[batch.topic_id], batch.log_ns
@@ -113,7 +113,7 @@ def _read(log: Log, checks: "Checks | None", progress: Progress | None) -> dict[
     return seen
 
 
-def _compare(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings) -> None:
+def _compare_topic_counts(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings) -> None:
     for topic in log.topics:
         one = seen[topic.id]
         if one.messages != topic.messages:
@@ -125,7 +125,7 @@ def _compare(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings) -> None
             groups.say("definition", f"{topic.name}: {topic.type or 'its type'} has no definition in the log")
 
 
-def _metadata(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings) -> None:
+def _compare_metadata(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings) -> None:
     """Compare metadata.yaml with the content of the files."""
     fields = metadata_of(log.path, Diagnostics(log.path))
     if not fields:
@@ -133,10 +133,10 @@ def _metadata(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings) -> Non
     messages = sum(one.messages for one in seen.values())
     held = {"message_count": messages, "duration": log.end_ns - log.start_ns, "starting_time": log.start_ns}
     for name, value in held.items():
-        number = _number(fields.get(name))
+        number = _metadata_number(fields.get(name))
         if number is not None and number != value and (messages or name == "message_count"):
             groups.say(name, f"{METADATA} says {name} {number}, the files hold {value}")
-    listed = {name: (kind, count) for name, kind, count in _topics(fields)}
+    listed = {name: (kind, count) for name, kind, count in _metadata_topic_counts(fields)}
     for topic in log.topics:
         kind, count = listed.pop(topic.name, (None, 0))
         if kind is None:
@@ -147,36 +147,36 @@ def _metadata(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings) -> Non
         groups.say("topic", f"{METADATA} names topic {name}, which no file holds")
 
 
-def _number(value: Any) -> int | None:
+def _metadata_number(value: Any) -> int | None:
     """A number, bare or under the single key that rosbag2 uses."""
     if isinstance(value, dict):
         value = next(iter(value.values()), None)
     return value if isinstance(value, int) else None
 
 
-def _topics(fields: dict[str, Any]) -> Iterator[tuple[str, str, int]]:
+def _metadata_topic_counts(fields: dict[str, Any]) -> Iterator[tuple[str, str, int]]:
     for entry in fields.get("topics_with_message_count") or ():
         about = entry.get("topic_metadata") if isinstance(entry, dict) else None
         if isinstance(about, dict):
-            yield str(about.get("name")), str(about.get("type")), _number(entry.get("message_count")) or 0
+            yield str(about.get("name")), str(about.get("type")), _metadata_number(entry.get("message_count")) or 0
 
 
-def _mcaps(path: Path) -> list[Path]:
+def _mcap_files_in(path: Path) -> list[Path]:
     try:
-        files = members(path, Diagnostics(path)) if path.is_dir() else [path] if path.is_file() else []
+        files = list_member_files(path, Diagnostics(path)) if path.is_dir() else [path] if path.is_file() else []
     except LogError:
         return []
     return [file for file in files if ".mcap" in file.suffixes]
 
 
-def _check(file: Path, limits: Input) -> list[Finding]:
-    from ..mcap.checks import check
+def _check_mcap_file(file: Path, limits: Input) -> list[Finding]:
+    from ..mcap.checks import check_mcap
 
     def checked(source: Path) -> list[Finding]:
         groups = _GroupedFindings(file)
         if is_mcap(source):
-            data = mapped(source)
-            check(data, Diagnostics(file, limits=limits), groups.say)
+            data = map_file(source)
+            check_mcap(data, Diagnostics(file, limits=limits), groups.say)
             check_untruncated(data, file)
         return list(groups.findings())
 

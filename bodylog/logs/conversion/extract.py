@@ -5,16 +5,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...errors import UsageError
-from ...io.atomic_files import replacing
-from ...io.outputs import Output, guard
+from ...io.atomic_files import replace_atomically
+from ...io.outputs import Output, guard_outputs
 from ..formats import open_log
-from ..mcap.verification import verify
+from ..mcap.verification import verify_message_count
 from ..protocol import Progress
 from ..records import Finding
-from .transcode import Span, carry
+from .transcode import Span, write_log_messages
 
 
-def convert(
+def convert_to_mcap(
     path: Path, out: Path, topics: Sequence[str] | None = None, start: float | None = None, end: float | None = None,
     progress: Progress | None = None,
 ) -> tuple[Finding, ...]:  # fmt: skip
@@ -23,17 +23,17 @@ def convert(
     topics: only these · start, end: only messages logged between them, s since the log's first message. UsageError for
     an unknown topic, an empty time span, or an output that is also the input.
     """
-    guard([path], [Output(out, "out")])
-    span = _checked(path, topics, start, end)
-    with replacing(out) as beside:
+    guard_outputs([path], [Output(out, "out")])
+    span = _check_topics_and_span(path, topics, start, end)
+    with replace_atomically(out) as beside:
         with beside.open("wb") as stream:
-            writer, count, findings = carry(path, stream, topics, ours=True, span=span, progress=progress)
+            writer, count, findings = write_log_messages(path, stream, topics, ours=True, span=span, progress=progress)
             writer.finish()
-        verify(beside, count, out)
+        verify_message_count(beside, count, out)
     return findings
 
 
-def _checked(path: Path, topics: Sequence[str] | None, start: float | None, end: float | None) -> Span | None:
+def _check_topics_and_span(path: Path, topics: Sequence[str] | None, start: float | None, end: float | None) -> Span | None:
     with open_log(path) as log:
         known = sorted({topic.name for topic in log.topics})
         if unknown := [name for name in topics or () if name not in known]:

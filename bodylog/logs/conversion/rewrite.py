@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import LogError
-from ...io.atomic_files import replacing
-from ...io.outputs import Output, guard
-from ..formats import open_log, payloads
+from ...io.atomic_files import replace_atomically
+from ...io.outputs import Output, guard_outputs
+from ..formats import open_log, payload_views
 from ..limits import LIMITS, Input
 from ..mcap import opcodes as op
 from ..mcap.chunks import MESSAGE_HEAD
@@ -19,18 +19,18 @@ _U64 = 1 << 64
 _PROFILES = {"cdr": "ros2", "ros1": "ros1"}
 
 
-def repair(path: Path, out: Path, limits: Input = LIMITS) -> tuple[Finding, ...]:
+def rewrite_sound_messages(path: Path, out: Path, limits: Input = LIMITS) -> tuple[Finding, ...]:
     """Write the sound messages of `path` to the MCAP `out` and return what is wrong; LogError when none is sound."""
-    guard([path], [Output(out, "--repair")])
-    with open_log(path, limits=limits) as log, replacing(out) as beside:
-        written = _mcap(log, beside) if isinstance(log, McapLog) else _any(log, beside)
+    guard_outputs([path], [Output(out, "--repair")])
+    with open_log(path, limits=limits) as log, replace_atomically(out) as beside:
+        written = _rewrite_mcap(log, beside) if isinstance(log, McapLog) else _rewrite_other_log(log, beside)
         if not written and any(finding.severity == "lost" for finding in log.findings):
             raise LogError(f"{path}: nothing in it can be saved; {log.findings[-1].text.removeprefix(f'{path}: ')}")
-        _confirm(beside, written)
+        _confirm_message_count(beside, written)
         return log.findings
 
 
-def _writer(beside: Path, profile: str) -> Any:
+def _open_mcap_writer(beside: Path, profile: str) -> Any:
     from mcap.writer import Writer
 
     writer = Writer(str(beside), enable_data_crcs=True)
@@ -38,11 +38,11 @@ def _writer(beside: Path, profile: str) -> Any:
     return writer
 
 
-def _mcap(log: McapLog, beside: Path) -> int:
+def _rewrite_mcap(log: McapLog, beside: Path) -> int:
     """Copy channels, sequence numbers, publish times, attachments and metadata unchanged; returns messages written."""
     header = next(log.records(op.HEADER), None)
-    writer, survey, count = _writer(beside, header.fields["profile"] if header else ""), log.survey, 0
-    schemas = {number: _schema(writer, record) for number, record in survey.schemas.items()}
+    writer, survey, count = _open_mcap_writer(beside, header.fields["profile"] if header else ""), log.survey, 0
+    schemas = {number: _register_schema(writer, record) for number, record in survey.schemas.items()}
     channels = {}
     for number, record in survey.channels.items():
         fields = record.fields
@@ -68,25 +68,25 @@ def _mcap(log: McapLog, beside: Path) -> int:
     return count
 
 
-def _schema(writer: Any, record: Record) -> int:
+def _register_schema(writer: Any, record: Record) -> int:
     fields = record.fields
     return int(writer.register_schema(fields["name"], fields["encoding"], fields["data"]))
 
 
-def _any(log: Log, beside: Path) -> int:
+def _rewrite_other_log(log: Log, beside: Path) -> int:
     """Write one channel per topic; returns messages written."""
     profiles = {_PROFILES.get(topic.encoding, "") for topic in log.topics}
-    writer, count = _writer(beside, profiles.pop() if len(profiles) == 1 else ""), 0
-    channels = {topic.id: _channel(writer, topic) for topic in log.topics}
+    writer, count = _open_mcap_writer(beside, profiles.pop() if len(profiles) == 1 else ""), 0
+    channels = {topic.id: _register_topic_channel(writer, topic) for topic in log.topics}
     for batch in log.batches():
-        for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+        for log_ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
             writer.add_message(channels[batch.topic_id], log_ns, bytes(payload), log_ns)
             count += 1
     writer.finish()
     return count
 
 
-def _channel(writer: Any, topic: Topic) -> int:
+def _register_topic_channel(writer: Any, topic: Topic) -> int:
     ros1 = topic.encoding == "ros1"
     name = topic.type.replace("/msg/", "/") if ros1 else topic.type
     encoding = topic.definition_encoding or ("ros1msg" if ros1 else "ros2msg")
@@ -94,7 +94,7 @@ def _channel(writer: Any, topic: Topic) -> int:
     return int(writer.register_channel(topic.name, topic.encoding, schema, dict(topic.metadata)))
 
 
-def _confirm(beside: Path, written: int) -> None:
+def _confirm_message_count(beside: Path, written: int) -> None:
     with open_log(beside, strict=True) as log:
         found = sum(len(batch.log_ns) for batch in log.batches())
     if found != written:

@@ -10,18 +10,18 @@ import numpy as np
 
 from ...errors import FormatError
 from ...io import episodes
-from ..decode.ros1_to_cdr import Converter, converter, known_definition
-from ..encode.cdr import Payloads, merge
+from ..decode.ros1_to_cdr import Converter, make_cdr_converter, known_definition
+from ..encode.cdr import Payloads, merge_payloads
 from ..formats import open_log
 from ..limits import LIMITS, Input
 from ..mcap import opcodes as op
 from ..mcap.chunks import heads_at
-from ..mcap.encode import MESSAGE_HEAD, MessageTable, attachment, gather, metadata
+from ..mcap.encode import MESSAGE_HEAD, MessageTable, encode_attachment, gather_pieces, encode_metadata
 from ..mcap.prefix import NAME, no_utf8
 from ..mcap.record_file import sound_heads
 from ..mcap.records import Record, is_mcap
-from ..mcap.writer import CHUNK_BYTES, Contents, Writer
-from ..protocol import Progress, counted
+from ..mcap.writer import CHUNK_BYTES, Contents, McapRecordWriter
+from ..protocol import Progress, count_progress
 from ..records import Array, Batch, Finding, Topic
 from ..storage.packed_files import is_packed, unpack_file
 from ..topic_names import PREFIX
@@ -48,7 +48,7 @@ Span = tuple[int, int]
 """First and last log time to keep, int64 ns."""
 
 
-def carry(
+def write_log_messages(
     source: Path,
     stream: BinaryIO,
     only: Collection[str] | None = None,
@@ -56,7 +56,7 @@ def carry(
     span: Span | None = None,
     limits: Input = LIMITS,
     progress: Progress | None = None,
-) -> tuple[Writer, int, tuple[Finding, ...]]:
+) -> tuple[McapRecordWriter, int, tuple[Finding, ...]]:
     """Write the messages of a log (`only` these topics, within `span`) to an unfinished MCAP.
 
     Topics under `PREFIX` are included only with `ours`.
@@ -65,29 +65,29 @@ def carry(
     CDR where possible. Payloads, attachments and metadata of an MCAP stay unchanged.
     """
     with open_log(source, limits=limits) as log:
-        writer = Writer(stream, Contents())
+        writer = McapRecordWriter(stream, Contents())
         findings: list[Finding] = []
-        writer.begin(_profile(source) if is_mcap(source) else PROFILE, LIBRARY)
+        writer.begin(_mcap_profile(source) if is_mcap(source) else PROFILE, LIBRARY)
         wanted = [t for t in log.topics if (ours or not t.name.startswith(PREFIX)) and (only is None or t.name in only)]
-        carriers = {topic.id: _carrier(writer, topic, log.format, findings) for topic in wanted}
-        for table in _tables(counted(log.batches(list(carriers)), progress), carriers, writer, span):
+        carriers = {topic.id: _plan_topic_carrier(writer, topic, log.format, findings) for topic in wanted}
+        for table in _message_tables(count_progress(log.batches(list(carriers)), progress), carriers, writer, span):
             writer.write(table)
         if only is None:
-            findings += _extras(episodes.base(source), writer, ours, limits)
-        findings += [_unconverted(source, c) for c in carriers.values() if c.unconverted]
+            findings += _copy_attachments_and_metadata(episodes.dataset_path(source), writer, ours, limits)
+        findings += [_explain_unconverted_topic(source, c) for c in carriers.values() if c.unconverted]
         return writer, sum(c.carried for c in carriers.values()), (*log.findings, *findings)
 
 
-def _carrier(writer: Writer, topic: Topic, container: str, findings: list[Finding]) -> _Carrier:
+def _plan_topic_carrier(writer: McapRecordWriter, topic: Topic, container: str, findings: list[Finding]) -> _Carrier:
     kind, encoding, definition, form = topic.type, topic.encoding, topic.definition, topic.definition_encoding
     convert = None
     if container != "mcap" and topic.encoding == "ros1":
         try:
-            convert, definition = converter(topic)
+            convert, definition = make_cdr_converter(topic)
             encoding, form = "cdr", "ros2msg"
         except FormatError as problem:
             findings.append(Finding("warning", f"{problem}; its messages stay ROS 1, which ROS 2 tools do not read"))
-            return _Carrier(topic, _keep(writer, topic))
+            return _Carrier(topic, _keep_payloads(writer, topic))
     if container != "mcap" and not definition and convert is None:
         known, form = known_definition(kind), "ros2msg"
         definition = known or b""
@@ -95,34 +95,34 @@ def _carrier(writer: Writer, topic: Topic, container: str, findings: list[Findin
             text = f"topic {topic.name}: the log has no definition of {kind}; its messages stay without one"
             findings.append(Finding("warning", text))
     if topic.encoding == "ros1" and convert is None:
-        return _Carrier(topic, _keep(writer, topic))
+        return _Carrier(topic, _keep_payloads(writer, topic))
     return _Carrier(topic, writer.topic(topic.name, kind, encoding, definition, form, topic.metadata), convert)
 
 
-def _keep(writer: Writer, topic: Topic) -> int:
+def _keep_payloads(writer: McapRecordWriter, topic: Topic) -> int:
     """A channel for unchanged payloads; ROS 1 writes types without /msg/."""
     kind = topic.type.replace("/msg/", "/") if topic.encoding == "ros1" else topic.type
     form = topic.definition_encoding or "ros1msg"
     return writer.topic(topic.name, kind, topic.encoding, topic.definition, form, topic.metadata)
 
 
-def _tables(
-    batches: Iterable[Batch], carriers: Mapping[int, _Carrier], writer: Writer, span: Span | None
+def _message_tables(
+    batches: Iterable[Batch], carriers: Mapping[int, _Carrier], writer: McapRecordWriter, span: Span | None
 ) -> Iterator[MessageTable]:
     """Batches in groups of a few MiB, each in order of log time."""
     pending: list[MessageTable] = []
     size = 0
-    for batch in _pieces(batches if span is None else _within(batches, span)):
-        pending.append(_taken(batch, carriers[batch.topic_id], writer))
+    for batch in _split_large_batches(batches if span is None else _batches_within_span(batches, span)):
+        pending.append(_copy_batch_messages(batch, carriers[batch.topic_id], writer))
         size += pending[-1].data[0].size
         if size >= _PENDING:
-            yield _sorted(pending)
+            yield _merge_by_log_time(pending)
             pending, size = [], 0
     if pending:
-        yield _sorted(pending)
+        yield _merge_by_log_time(pending)
 
 
-def _within(batches: Iterable[Batch], span: Span) -> Iterator[Batch]:
+def _batches_within_span(batches: Iterable[Batch], span: Span) -> Iterator[Batch]:
     """The messages logged within a span."""
     for batch in batches:
         rows = np.flatnonzero((batch.log_ns >= span[0]) & (batch.log_ns <= span[1]))
@@ -130,7 +130,7 @@ def _within(batches: Iterable[Batch], span: Span) -> Iterator[Batch]:
             yield Batch(batch.topic_id, batch.log_ns[rows], batch.data, batch.offset[rows], batch.length[rows])
 
 
-def _pieces(batches: Iterable[Batch]) -> Iterator[Batch]:
+def _split_large_batches(batches: Iterable[Batch]) -> Iterator[Batch]:
     """The batches, split where they hold more than a few MiB."""
     for batch in batches:
         full = np.cumsum(batch.length) // _PENDING
@@ -139,20 +139,20 @@ def _pieces(batches: Iterable[Batch]) -> Iterator[Batch]:
             yield Batch(batch.topic_id, batch.log_ns[rows], batch.data, batch.offset[rows], batch.length[rows])
 
 
-def _taken(batch: Batch, carrier: _Carrier, writer: Writer) -> MessageTable:
+def _copy_batch_messages(batch: Batch, carrier: _Carrier, writer: McapRecordWriter) -> MessageTable:
     """A batch as messages of the new file, with bytes of their own."""
     count = len(batch.log_ns)
     channel = np.full(count, carrier.channel)
-    sequence, publish_ns = _heads(batch, carrier)
+    sequence, publish_ns = _sequence_and_publish_times(batch, carrier)
     if carrier.convert is None:
-        data, offset, length = *gather(batch.data, batch.offset, batch.length), batch.length
+        data, offset, length = *gather_pieces(batch.data, batch.offset, batch.length), batch.length
     else:
-        data, offset, length = _converted(batch, carrier, channel, writer)
+        data, offset, length = _convert_payloads(batch, carrier, channel, writer)
     carrier.carried += count
     return MessageTable(channel, sequence, batch.log_ns, publish_ns, (data,), offset, length)
 
 
-def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
+def _sequence_and_publish_times(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
     """Sequence numbers and publish times: from the record heads of an MCAP's batch; others have none."""
     start = batch.offset - MESSAGE_HEAD
     if len(start) and start.min() >= 0:
@@ -162,7 +162,7 @@ def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
     return carrier.carried + np.arange(len(batch.log_ns)), batch.log_ns
 
 
-def _converted(batch: Batch, carrier: _Carrier, channel: Array, writer: Writer) -> tuple[Array, Array, Array]:
+def _convert_payloads(batch: Batch, carrier: _Carrier, channel: Array, writer: McapRecordWriter) -> tuple[Array, Array, Array]:
     """The payloads as CDR; one that contradicts its definition stays ROS 1, on a channel of its own."""
     assert carrier.convert is not None
     left, parts = _convert_same_layout(batch, carrier.convert)
@@ -172,13 +172,13 @@ def _converted(batch: Batch, carrier: _Carrier, channel: Array, writer: Writer) 
         try:
             single.append(carrier.convert(payload))
         except FormatError:
-            carrier.spare = carrier.spare or _keep(writer, carrier.topic)
+            carrier.spare = carrier.spare or _keep_payloads(writer, carrier.topic)
             carrier.unconverted += 1
             channel[i] = carrier.spare
             single.append(bytes(payload))
     length = np.array([len(part) for part in single], np.int64)
     parts.append((left, Payloads(np.frombuffer(b"".join(single), np.uint8), np.cumsum(length) - length, length)))
-    merged = merge(parts, len(batch.log_ns))
+    merged = merge_payloads(parts, len(batch.log_ns))
     return merged.data, merged.offset, merged.length
 
 
@@ -200,13 +200,13 @@ def _convert_same_layout(batch: Batch, convert: Converter) -> tuple[Array, list[
     return np.flatnonzero(left), parts
 
 
-def _unconverted(source: Path, carrier: _Carrier) -> Finding:
+def _explain_unconverted_topic(source: Path, carrier: _Carrier) -> Finding:
     name = carrier.topic.name
     text = f"{source}: topic {name}: {carrier.unconverted} of {carrier.carried} messages contradict their definition"
     return Finding("warning", f"{text}; they stay ROS 1, which ROS 2 tools do not read")
 
 
-def _sorted(parts: list[MessageTable]) -> MessageTable:
+def _merge_by_log_time(parts: list[MessageTable]) -> MessageTable:
     shift = np.cumsum([0, *(part.data[0].size for part in parts)])
     log_ns = np.concatenate([part.log_ns for part in parts])
     order = np.argsort(log_ns, kind="stable")
@@ -221,7 +221,7 @@ def _sorted(parts: list[MessageTable]) -> MessageTable:
     )
 
 
-def _profile(source: Path) -> str:
+def _mcap_profile(source: Path) -> str:
     """The profile of an MCAP; empty when its header is damaged."""
     for file, head in sound_heads(source):
         with suppress(FormatError):
@@ -230,15 +230,15 @@ def _profile(source: Path) -> str:
     return ""
 
 
-def _extras(source: Path, writer: Writer, ours: bool, limits: Input) -> list[Finding]:
+def _copy_attachments_and_metadata(source: Path, writer: McapRecordWriter, ours: bool, limits: Input) -> list[Finding]:
     """Copy attachments and metadata of an MCAP, compressed or in a folder, up to its first damage; returns losses."""
     if source.is_dir():
         members = sorted(path for path in source.iterdir() if ".mcap" in path.suffixes and path.is_file())
-        return [finding for member in members for finding in _extras(member, writer, ours, limits)]
+        return [finding for member in members for finding in _copy_attachments_and_metadata(member, writer, ours, limits)]
     with source.open("rb") as stream:
         packed = is_packed(stream.read(4))
     if packed:
-        return unpack_file(source, lambda inner: _extras(inner, writer, ours, limits), limits)
+        return unpack_file(source, lambda inner: _copy_attachments_and_metadata(inner, writer, ours, limits), limits)
     lost = []
     for file, head in sound_heads(source):
         if head.opcode in (op.ATTACHMENT, op.METADATA):
@@ -249,10 +249,10 @@ def _extras(source: Path, writer: Writer, ours: bool, limits: Input) -> list[Fin
     return lost
 
 
-def _keep_extra(record: Record, raw: bytes, writer: Writer, ours: bool) -> None:
+def _keep_extra(record: Record, raw: bytes, writer: McapRecordWriter, ours: bool) -> None:
     """Copy an attachment or metadata record; text that is not UTF-8 is written as far as it can be decoded."""
     if record.opcode == op.ATTACHMENT:
-        writer.keep_attachment(attachment(record.fields) if no_utf8(record) else raw, record.fields)
+        writer.keep_attachment(encode_attachment(record.fields) if no_utf8(record) else raw, record.fields)
     elif ours or record.fields["name"] != NAME:
         name, pairs = record.fields["name"], record.fields["metadata"]
-        writer.keep_metadata(name, metadata(name, pairs) if no_utf8(record) else raw)
+        writer.keep_metadata(name, encode_metadata(name, pairs) if no_utf8(record) else raw)

@@ -7,13 +7,13 @@ from functools import partial
 import numpy as np
 
 from ...errors import BodylogError
-from ..formats import payloads
+from ..formats import payload_views
 from ..images import messages
 from ..joint_units import joint_unit
 from ..limits import LIMITS, Input
 from ..records import Array, Batch
-from .episode_log import JOINTS, Camera, EpisodeLog, Signal
-from .lerobot_layout import Layout
+from .episode_log import JOINTS, EpisodeCamera, EpisodeLog, EpisodeSignal
+from .lerobot_layout import DatasetLayout
 
 BLACK_GREY = 20
 """Grey levels: black in video is 16 (BT.601), and a covered sensor's noise a few levels more."""
@@ -60,14 +60,14 @@ class Checks:
         """For an episode that will be read from end to end."""
         self._log = log
         topics = {topic.id: topic for topic in log.topics if topic.id in log.cameras}
-        self._decoders = {number: messages.decoder(topic, limits.max_image_mpx) for number, topic in topics.items()}
+        self._decoders = {number: messages.make_image_decoder(topic, limits.max_image_mpx) for number, topic in topics.items()}
         self._records = {number: _ImageRecord() for number in topics}
 
     def add(self, batch: Batch) -> None:
         """Examine the images of a batch."""
         if (decode := self._decoders.get(batch.topic_id)) is None:
             return
-        for ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+        for ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
             try:
                 self._records[batch.topic_id].add(ns, decode(bytes(payload), 1))
             except BodylogError:  # the log counts it
@@ -77,8 +77,8 @@ class Checks:
         """One line for each problem."""
         joints = next((one for one in self._log.signals if one.topic == JOINTS), None)
         for number, record in self._records.items():
-            yield from _camera(self._log.cameras[number], record, joints)
-        yield from () if joints is None else _joints(joints)
+            yield from _check_camera_images(self._log.cameras[number], record, joints)
+        yield from () if joints is None else _check_joints(joints)
         yield from length_texts(self._log)
 
 
@@ -90,7 +90,7 @@ def block_means(grey: Array) -> Array:
     return np.asarray(cv2.resize(grey.astype(np.float32), size, interpolation=cv2.INTER_AREA))
 
 
-def _camera(camera: Camera, record: _ImageRecord, joints: Signal | None) -> Iterator[str]:
+def _check_camera_images(camera: EpisodeCamera, record: _ImageRecord, joints: EpisodeSignal | None) -> Iterator[str]:
     name = camera.topic
     if not record.ns:
         return
@@ -99,12 +99,12 @@ def _camera(camera: Camera, record: _ImageRecord, joints: Signal | None) -> Iter
         yield f"{name}: the camera is black in all {len(black)} images"
         return
     for first, end in long_runs(black, record.ns):
-        yield f"{name}: the camera is black {_when(record.ns, first, end)}"
+        yield f"{name}: the camera is black {_describe_time_range(record.ns, first, end)}"
     same = np.append((np.array(record.change) < SAME_GREY)[1:], False)
-    yield from _frozen(name, record.ns, list(long_runs(same & ~black, record.ns)), joints)
+    yield from _find_frozen_images(name, record.ns, list(long_runs(same & ~black, record.ns)), joints)
 
 
-def _frozen(name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: Signal | None) -> Iterator[str]:
+def _find_frozen_images(name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: EpisodeSignal | None) -> Iterator[str]:
     """Runs of identical images while joints move."""
     if joints is not None:
         moves = partial(moves_between, joints.values, joints.ns)
@@ -113,7 +113,7 @@ def _frozen(name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: S
         return
     moving = "" if joints is None else " while joints move"
     lasts = [(ns[end - 1] - ns[first]) / 1e9 for first, end in runs]
-    longest = _when(ns, *runs[int(np.argmax(lasts))])
+    longest = _describe_time_range(ns, *runs[int(np.argmax(lasts))])
     if len(runs) == 1:
         yield f"{name}: the camera is frozen {longest}{moving}"
     else:
@@ -130,7 +130,7 @@ def long_runs(which: Array, ns: Sequence[int]) -> Iterator[tuple[int, int]]:
             yield first, end
 
 
-def _when(ns: Sequence[int], first: int, end: int) -> str:
+def _describe_time_range(ns: Sequence[int], first: int, end: int) -> str:
     begin, last = ((ns[k] - ns[0]) / 1e9 for k in (first, end - 1))
     return f"from {begin:.2f} to {last:.2f} s ({end - first} images)"
 
@@ -152,14 +152,14 @@ def value_ranges(values: Array) -> Array:
     return np.where(known.any(axis=0), high - low, 0.0)
 
 
-def _joints(joints: Signal) -> Iterator[str]:
+def _check_joints(joints: EpisodeSignal) -> Iterator[str]:
     ranges = value_ranges(joints.values)
     still = [name for name, one in zip(joints.names, ranges, strict=True) if one == 0]
     if still:
         yield f"{joints.topic}: {', '.join(still)} {'is' if len(still) == 1 else 'are'} constant throughout"
     if missing := int((~np.isfinite(joints.values)).sum()):
         yield f"{joints.topic}: {missing} of {joints.values.size} readings are not finite numbers"
-    yield from _wraps(joints)
+    yield from _find_joint_wraps(joints)
     steps = np.diff(joints.ns) / 1e9
     usual = float(np.median(steps)) if len(steps) else 0.0
     if usual > 0 and (gaps := np.flatnonzero(steps > _GAP * usual)).size:
@@ -167,7 +167,7 @@ def _joints(joints: Signal) -> Iterator[str]:
         yield f"{joints.topic}: {len(gaps)} gaps in time, the first of {steps[gaps[0]]:.3g} s at {at:.2f} s"
 
 
-def _wraps(joints: Signal) -> Iterator[str]:
+def _find_joint_wraps(joints: EpisodeSignal) -> Iterator[str]:
     """Joints whose readings jump by more than half a turn."""
     known = joint_unit(joints.metadata, "rad")
     if known.turn is None:
@@ -186,7 +186,7 @@ def length_texts(log: EpisodeLog) -> Iterator[str]:
         yield f"the dataset lists {declared} rows for this episode, its table holds {rows}"
 
 
-def of_dataset(known: Layout) -> Iterator[str]:
+def of_dataset(known: DatasetLayout) -> Iterator[str]:
     """Problems of the dataset as a whole: info.json against the other files."""
     there, info = known.present(), known.info
     listed = len(known.rows)

@@ -37,14 +37,14 @@ CODECS: Mapping[str, Codec] = {
 """The choices of --codec; av1 as LeRobot writes it (crf 30, a key frame every 2 frames)."""
 
 
-def codec(name: str) -> Codec:
+def find_codec(name: str) -> Codec:
     """The encoder of that name; UsageError lists the choices."""
     if name not in CODECS:
         raise UsageError(f"--codec {name}: possible are {', '.join(CODECS)}")
     return CODECS[name]
 
 
-def encode(path: Path, how: Codec, images: Images, t: Array, size: tuple[int, int]) -> float:
+def encode_video(path: Path, how: Codec, images: Images, t: Array, size: tuple[int, int]) -> float:
     """Write a video of the images, frame k shown at t[k] (N,) s, and return its RMS error in grey levels.
 
     LogError if the images differ in size, or the video does not hold what was written.
@@ -55,22 +55,22 @@ def encode(path: Path, how: Codec, images: Images, t: Array, size: tuple[int, in
     pts = np.rint(t * _TICKS).astype(np.int64)
     if (np.diff(pts) <= 0).any():
         raise LogError(f"{path.name}: two images within one microsecond")
-    _write(path, how, images, pts, size)
-    return _error(path, images, pts, size)
+    _write_encoded_video(path, how, images, pts, size)
+    return _measure_coding_error(path, images, pts, size)
 
 
-def _write(path: Path, how: Codec, images: Images, pts: Array, size: tuple[int, int]) -> None:
+def _write_encoded_video(path: Path, how: Codec, images: Images, pts: Array, size: tuple[int, int]) -> None:
     av = require_module("av", path)
     if how.encoder not in av.codecs_available:
         raise UsageError(f"{path.name}: this PyAV has no {how.encoder}; type: pip install -U av, or another --codec")
     with av.open(str(path), "w", format="mp4", options={"fflags": "+bitexact"}) as container:
-        stream = container.add_stream(how.encoder, rate=Fraction(_TICKS, _step(pts)), options=dict(how.options))
+        stream = container.add_stream(how.encoder, rate=Fraction(_TICKS, _median_tick_step(pts)), options=dict(how.options))
         stream.width, stream.height = size
         stream.pix_fmt = how.pixels
         stream.time_base = stream.codec_context.time_base = Fraction(1, _TICKS)
         try:
             for at, image in zip(pts.tolist(), images(), strict=True):
-                frame = av.VideoFrame.from_ndarray(_sized(image, size, path), format="bgr24")
+                frame = av.VideoFrame.from_ndarray(_fit_image_size(image, size, path), format="bgr24")
                 frame.pts, frame.time_base = at, Fraction(1, _TICKS)
                 container.mux(stream.encode(frame))
             container.mux(stream.encode())
@@ -79,26 +79,26 @@ def _write(path: Path, how: Codec, images: Images, pts: Array, size: tuple[int, 
             raise UsageError(f"{path.name}: {text}") from None
 
 
-def _step(pts: Array) -> int:
+def _median_tick_step(pts: Array) -> int:
     """The median time between frames, in ticks."""
     return max(int(np.median(np.diff(pts))), 1) if len(pts) > 1 else _TICKS
 
 
-def _sized(image: Array, size: tuple[int, int], path: Path) -> Array:
+def _fit_image_size(image: Array, size: tuple[int, int], path: Path) -> Array:
     height, width = image.shape[:2]
     if (width, height) != size:
         raise LogError(f"{path.name}: images of {size[0]} x {size[1]} and of {width} x {height}; a video has one size")
     return np.ascontiguousarray(image)
 
 
-def _error(path: Path, images: Images, pts: Array, size: tuple[int, int]) -> float:
+def _measure_coding_error(path: Path, images: Images, pts: Array, size: tuple[int, int]) -> float:
     """RMS difference (grey levels) of the video's frames from the images; LogError where frames are missing."""
-    found = video.survey(path, Input(max_image_mpx=size[0] * size[1] / 1e6, max_frames=max(len(pts), 1)))
+    found = video.survey_video(path, Input(max_image_mpx=size[0] * size[1] / 1e6, max_frames=max(len(pts), 1)))
     shown = np.rint(found.t * _TICKS).astype(np.int64)
     if len(shown) != len(pts) or np.abs(shown - pts).max(initial=0) > 1:
         raise LogError(f"{path.name}: was not written correctly: {len(shown)} frames where {len(pts)} were written")
     total = 0.0
-    for (number, image), wanted in zip(video.images(found), images(), strict=True):
+    for (number, image), wanted in zip(video.iterate_video_images(found), images(), strict=True):
         if image is None:
             raise LogError(f"{path.name}: was not written correctly: frame {number} cannot be read back")
         total += float(np.mean((image.astype(np.int16) - wanted) ** 2.0)) if not np.array_equal(image, wanted) else 0.0

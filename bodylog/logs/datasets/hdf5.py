@@ -10,11 +10,11 @@ import numpy as np
 
 from ...errors import FormatError, InputError, LogError
 from ...io import episodes
-from ...io.values import times
+from ...io.values import log_times_ns
 from ..limits import LIMITS, Input, TableSize
 from ..records import Array, Finding
 from ..storage.compression import Allowance
-from ..topic_names import escape
+from ..topic_names import escape_topic_name
 from . import hdf5_chunks
 from .episode_log import (
     ACTION,
@@ -24,15 +24,15 @@ from .episode_log import (
     JOINT_STATE,
     JOINTS,
     VECTOR,
-    Camera,
+    EpisodeCamera,
     Episode,
     EpisodeLog,
     Item,
-    Signal,
+    EpisodeSignal,
     Texts,
 )  # fmt: skip
-from .hdf5_file import Sets, attribute, is_bytes_list, opened, sets_of
-from .units import unit
+from .hdf5_file import Sets, read_attribute, is_bytes_list, open_hdf5_file, sets_of
+from .units import guess_joint_unit
 
 _ROW_BYTES = 32
 """Bytes that the times of a row take while they are made."""
@@ -47,25 +47,25 @@ _ACTION = re.compile(r"actions?")
 
 def open_hdf5(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
     """Open an episode of an HDF5 file: FILE#N is number N, FILE the first."""
-    file, number = episodes.split(path)
+    file, number = episodes.split_episode_name(path)
     findings: list[Finding] = []
-    with opened(file) as one:
+    with open_hdf5_file(file) as one:
         found = sets_of(one, file, number, findings, limits)
-        episode = _episode(file, found, findings, limits)
+        episode = _read_hdf5_episode(file, found, findings, limits)
     return EpisodeLog(path, episode, strict)
 
 
-def _episode(path: Path, found: Sets, findings: list[Finding], limits: Input) -> Episode:
-    rows = _rows(found.sets)
+def _read_hdf5_episode(path: Path, found: Sets, findings: list[Finding], limits: Input) -> Episode:
+    rows = _count_steps(found.sets)
     if not rows:
         some = ", ".join(list(found.sets)[:8]) or "none"
         text = "no qpos, joint_pos, action or images as ALOHA and robomimic keep them"
         raise LogError(f"{path}: {text}; its datasets are {some}")
     size = TableSize(limits)
     size.take(_ROW_BYTES * rows, f"{path}: the times of {rows} rows")
-    ns = _times(found, rows, findings, limits)
-    streams: list[Signal | Texts | Camera] = []
-    joints = next((name for name in found.sets if _JOINTS.search(name) and _is_numbers(found.sets[name])), None)
+    ns = _find_step_times(found, rows, findings, limits)
+    streams: list[EpisodeSignal | Texts | EpisodeCamera] = []
+    joints = next((name for name in found.sets if _JOINTS.search(name) and _is_numeric_dataset(found.sets[name])), None)
     lengths = {name: one.shape[0] for name, one in found.sets.items() if _is_row(one)}
     for name in lengths:
         own = ns[: lengths[name]] if lengths[name] <= rows else None
@@ -73,7 +73,7 @@ def _episode(path: Path, found: Sets, findings: list[Finding], limits: Input) ->
             findings.append(Finding("warning", f"{name}: {lengths[name]} rows, {joints or 'the others'} {rows}"))
         if own is None or not len(own) or (_TIMES.search(name) and found.sets[name].ndim == 1):
             continue
-        streams += _stream(path, found, name, own, joints, findings, limits, size)
+        streams += _read_stream(path, found, name, own, joints, findings, limits, size)
     return Episode(found.format, streams, findings)
 
 
@@ -82,20 +82,20 @@ def _is_row(one: Any) -> bool:
     return one.ndim >= 1 and one.dtype.kind in "fiubO" and one.shape[0] > 0
 
 
-def _is_numbers(one: Any) -> bool:
+def _is_numeric_dataset(one: Any) -> bool:
     return _is_row(one) and one.dtype.kind in "fiub" and one.ndim == 2
 
 
-def _rows(sets: Mapping[str, Any]) -> int:
+def _count_steps(sets: Mapping[str, Any]) -> int:
     """Steps of the episode: rows of the joints, else of the action, else of most datasets."""
     known = {name: int(one.shape[0]) for name, one in sets.items() if _is_row(one)}
     wanted = [rows for name, rows in known.items() if _JOINTS.search(name) or re.search(r"(^|/)actions?$", name)]
-    images = [rows for name, rows in known.items() if _is_camera(name, sets[name])]
+    images = [rows for name, rows in known.items() if _is_image_dataset(name, sets[name])]
     every = wanted or images
     return every[0] if every else 0
 
 
-def _is_camera(name: str, one: Any) -> bool:
+def _is_image_dataset(name: str, one: Any) -> bool:
     """(T,H,W,3) or (T,H,W,1) bytes, or JPEG and PNG in (T,L) bytes or variable-length rows, named like images."""
     if one.dtype == np.uint8 and one.ndim == 4:
         return one.shape[3] in (1, 3)
@@ -104,12 +104,12 @@ def _is_camera(name: str, one: Any) -> bool:
     )
 
 
-def _times(found: Sets, rows: int, findings: list[Finding], limits: Input) -> Array:
+def _find_step_times(found: Sets, rows: int, findings: list[Finding], limits: Input) -> Array:
     """Times of the steps (N,) int64 ns: a dataset of times, else step numbers at the known rate."""
     for name, one in found.sets.items():
         if (match := _TIMES.search(name)) and one.shape == (rows,) and one.dtype.kind in "fiu":
             try:
-                ns = _ns(_column(name, one, limits), match[4])
+                ns = _time_column_ns(_read_time_column(name, one, limits), match[4])
             except FormatError as problem:
                 findings.append(Finding("lost", str(problem)))
                 continue
@@ -124,15 +124,15 @@ def _times(found: Sets, rows: int, findings: list[Finding], limits: Input) -> Ar
     return EPOCH_NS + np.rint(np.arange(rows) / (found.rate or _ALOHA_HZ) * 1e9).astype(np.int64)
 
 
-def _column(name: str, one: Any, limits: Input) -> Array:
+def _read_time_column(name: str, one: Any, limits: Input) -> Array:
     """All values of a dataset of one column, in its own type; FormatError where they may not be read."""
-    if reason := hdf5_chunks.refusal(one, limits):
+    if reason := hdf5_chunks.explain_refused_dataset(one, limits):
         raise FormatError(f"{name}: {reason}")
     blocks = [rows for _, rows in hdf5_chunks.row_blocks(one, one.shape[0], limits)]
     return np.concatenate(blocks) if blocks else np.empty(0, one.dtype)
 
 
-def _ns(values: Array, ending: str | None) -> Array | None:
+def _time_column_ns(values: Array, ending: str | None) -> Array | None:
     """Times as int64 ns: by the suffix of their name, else by their size; None if they are not times."""
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         return None
@@ -142,41 +142,41 @@ def _ns(values: Array, ending: str | None) -> Array | None:
         return None
     whole = values.dtype.kind in "iu" and scale == 1e-9
     ns = values.astype(np.int64) if whole else np.rint(values.astype(float) * scale * 1e9).astype(np.int64)
-    return times(ns if len(ns) and ns.min() >= EPOCH_NS else ns - ns.min(initial=0) + EPOCH_NS)
+    return log_times_ns(ns if len(ns) and ns.min() >= EPOCH_NS else ns - ns.min(initial=0) + EPOCH_NS)
 
 
-def _stream(
+def _read_stream(
     path: Path, found: Sets, name: str, ns: Array, joints: str | None, findings: list[Finding], limits: Input,
     size: TableSize,
-) -> Iterator[Signal | Camera]:  # fmt: skip
+) -> Iterator[EpisodeSignal | EpisodeCamera]:  # fmt: skip
     one = found.sets[name]
-    if _is_camera(name, one):
-        yield from _camera(path, found, name, ns, findings, limits)
+    if _is_image_dataset(name, one):
+        yield from _read_hdf5_camera(path, found, name, ns, findings, limits)
         return
     if one.dtype.kind not in "fiub" or one.ndim > 3:
         findings.append(Finding("info", f"{name}: {one.dtype} of shape {one.shape}, which is not read"))
         return
     try:
         size.take(8 * one.size, name)
-        if reason := hdf5_chunks.refusal(one, limits):
+        if reason := hdf5_chunks.explain_refused_dataset(one, limits):
             raise FormatError(f"{name}: {reason}")
-        values = hdf5_chunks.numbers(one, limits)
+        values = hdf5_chunks.read_float_rows(one, limits)
     except InputError as problem:
         findings.append(Finding("lost", str(problem)))
         return
     short = re.sub(r"^(obs|observations)/", "", name)
-    topic, kind = f"/{escape(short)}", VECTOR
-    metadata = {FEATURE: _feature(name), DTYPE: str(one.dtype)}
-    names = _names(values.shape[1], found.format, name == joints or bool(_ACTION.fullmatch(name)))
+    topic, kind = f"/{escape_topic_name(short)}", VECTOR
+    metadata = {FEATURE: _lerobot_feature_name(name), DTYPE: str(one.dtype)}
+    names = _joint_or_index_names(values.shape[1], found.format, name == joints or bool(_ACTION.fullmatch(name)))
     if name == joints or _ACTION.fullmatch(name):
         topic, kind = (JOINTS if name == joints else ACTION), JOINT_STATE
-        of = unit({key: _text(attribute(one, key)) for key in ("unit", "units")}, names, values)
+        of = guess_joint_unit({key: _decode_hdf5_text(read_attribute(one, key)) for key in ("unit", "units")}, names, values)
         metadata |= of.metadata
         findings += [Finding(*of.remark)] if name == joints else []
-    yield Signal(topic, kind, names, values, ns, metadata)
+    yield EpisodeSignal(topic, kind, names, values, ns, metadata)
 
 
-def _feature(name: str) -> str:
+def _lerobot_feature_name(name: str) -> str:
     """LeRobot's name for a dataset."""
     if _JOINTS.search(name):
         return "observation.state"
@@ -186,11 +186,11 @@ def _feature(name: str) -> str:
     return short.replace("/", ".")
 
 
-def _text(value: Any) -> Any:
+def _decode_hdf5_text(value: Any) -> Any:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
-def _names(count: int, form: str, of_joints: bool) -> tuple[str, ...]:
+def _joint_or_index_names(count: int, form: str, of_joints: bool) -> tuple[str, ...]:
     """ALOHA's names of its arms' joints; else their indices."""
     if of_joints and form == "hdf5" and count in (7, 14):
         sides = ("left_", "right_") if count == 14 else ("",)
@@ -198,9 +198,9 @@ def _names(count: int, form: str, of_joints: bool) -> tuple[str, ...]:
     return tuple(map(str, range(count)))
 
 
-def _camera(path: Path, found: Sets, name: str, ns: Array, findings: list[Finding], limits: Input) -> Iterator[Camera]:
+def _read_hdf5_camera(path: Path, found: Sets, name: str, ns: Array, findings: list[Finding], limits: Input) -> Iterator[EpisodeCamera]:
     one, short = found.sets[name], re.sub(r"^.*?(images?)/", "", name)
-    topic = f"/{escape(re.sub(r'^(obs|observations)/', '', short).removesuffix('_image'))}"
+    topic = f"/{escape_topic_name(re.sub(r'^(obs|observations)/', '', short).removesuffix('_image'))}"
     metadata = {FEATURE: f"observation.images.{topic[1:].replace('/', '.')}"}
     place = f"{found.group}/{name}"
     if len(ns) > limits.max_frames:
@@ -211,47 +211,47 @@ def _camera(path: Path, found: Sets, name: str, ns: Array, findings: list[Findin
     too_wide = one.ndim == 4 and not 0 < height * width <= limits.max_image_mpx * 1e6
     if too_wide or (one.ndim == 2 and one.shape[1] > limits.max_message_mb * 1e6):
         findings.append(Finding("lost", f"{name}: images of shape {one.shape[1:]}; too large to be read"))
-    elif reason := hdf5_chunks.refusal(one, limits):
+    elif reason := hdf5_chunks.explain_refused_dataset(one, limits):
         findings.append(Finding("lost", f"{name}: {reason}"))
     elif one.ndim == 4:
-        read = partial(_raw, path, place, len(ns), limits)
-        yield Camera(f"{topic}/image", ns, read, (width, height), "", metadata)
+        read = partial(_read_raw_images, path, place, len(ns), limits)
+        yield EpisodeCamera(f"{topic}/image", ns, read, (width, height), "", metadata)
     else:
-        read = partial(_packed, path, place, len(ns), limits)
-        yield Camera(f"{topic}/image/compressed", ns, read, None, "jpeg", metadata)
+        read = partial(_read_compressed_images, path, place, len(ns), limits)
+        yield EpisodeCamera(f"{topic}/image/compressed", ns, read, None, "jpeg", metadata)
 
 
-def _raw(path: Path, place: str, count: int, limits: Input) -> Iterator[Item]:
+def _read_raw_images(path: Path, place: str, count: int, limits: Input) -> Iterator[Item]:
     """RGB images (T,H,W,3), or grey ones, row by row, as BGR."""
-    for number, image in _rows_of(path, place, count, limits):
+    for number, image in _limited_dataset_rows(path, place, count, limits):
         if image is not None:
             image = np.ascontiguousarray(np.broadcast_to(image, (*image.shape[:2], 3))[:, :, ::-1])
         yield number, image
 
 
-def _packed(path: Path, place: str, count: int, limits: Input) -> Iterator[Item]:
+def _read_compressed_images(path: Path, place: str, count: int, limits: Input) -> Iterator[Item]:
     """JPEG or PNG images row by row, without the zeros that pad a row."""
-    for number, row in _rows_of(path, place, count, limits):
+    for number, row in _limited_dataset_rows(path, place, count, limits):
         data = b"" if row is None else np.asarray(row, np.uint8).tobytes().rstrip(b"\0")
         yield number, data or None
 
 
-def _rows_of(path: Path, place: str, count: int, limits: Input) -> Iterator[tuple[int, Array | None]]:
+def _limited_dataset_rows(path: Path, place: str, count: int, limits: Input) -> Iterator[tuple[int, Array | None]]:
     """The rows of a dataset; None for unreadable ones; LogError where they are more than a file may unpack to."""
     allowance, packed, unpacked = Allowance(path, limits), path.stat().st_size, 0
-    with opened(path) as file:
+    with open_hdf5_file(path) as file:
         one = file[place]
-        for first, rows in _blocks(one, count, limits):
+        for first, rows in _read_row_blocks(one, count, limits):
             for number, row in enumerate(rows, first):
                 unpacked += 0 if row is None else row.nbytes
                 allowance.check(packed, unpacked)
                 yield number, row
 
 
-def _blocks(one: Any, count: int, limits: Input) -> Iterator[tuple[int, Sequence[Array | None]]]:
+def _read_row_blocks(one: Any, count: int, limits: Input) -> Iterator[tuple[int, Sequence[Array | None]]]:
     """Rows by blocks; of a block that cannot be read, row by row; one by one if their size is in each row."""
     if is_bytes_list(one):
-        yield from ((number, [_row(one, number)]) for number in range(count))
+        yield from ((number, [_read_dataset_row(one, number)]) for number in range(count))
         return
     blocks, at = hdf5_chunks.row_blocks(one, count, limits), 0
     while at < count:
@@ -261,14 +261,14 @@ def _blocks(one: Any, count: int, limits: Input) -> Iterator[tuple[int, Sequence
             raise
         except (OSError, RuntimeError, ValueError):
             end = min(at + hdf5_chunks.rows_at_once(one), count)
-            yield from ((number, [_row(one, number)]) for number in range(at, end))
+            yield from ((number, [_read_dataset_row(one, number)]) for number in range(at, end))
             at, blocks = end, hdf5_chunks.row_blocks(one, count, limits, end)
             continue
         yield first, list(rows)
         at = first + len(rows)
 
 
-def _row(one: Any, number: int) -> Array | None:
+def _read_dataset_row(one: Any, number: int) -> Array | None:
     """A row, or None if it cannot be read."""
     try:
         return np.asarray(one[number])

@@ -28,7 +28,7 @@ _COMPRESSING: Mapping[int, str] = {_DEFLATE: "gzip", 4: "szip", 32000: "lzf"}
 _REARRANGING: Mapping[int, str] = {2: "shuffle", 3: "fletcher32"}
 
 
-def refusal(one: Any, limits: Input) -> str | None:
+def explain_refused_dataset(one: Any, limits: Input) -> str | None:
     """Why a dataset may not be read: its chunks, its filters, or what is stored of them; None if it may."""
     if one.chunks is None:
         return None
@@ -47,7 +47,7 @@ def chunk_bytes(one: Any) -> int:
     return values * int(one.id.get_type().get_size())
 
 
-def numbers(one: Any, limits: Input = LIMITS) -> Array:
+def read_float_rows(one: Any, limits: Input = LIMITS) -> Array:
     """All rows as float64 (N,K), block by block; FormatError where a chunk unpacks to more than it declares."""
     values = np.empty((one.shape[0], math.prod(one.shape[1:])))
     for first, rows in row_blocks(one, one.shape[0], limits):
@@ -82,7 +82,7 @@ def rows_at_once(one: Any) -> int:
     return int(min(one.chunks[0] * max(chunks, 1), most))
 
 
-def _filters(one: Any) -> list[int]:
+def _dataset_filter_codes(one: Any) -> list[int]:
     """The codes of a dataset's filters, in the order of writing."""
     plist = one.id.get_create_plist()
     return [int(plist.get_filter(number)[0]) for number in range(plist.get_nfilters())]
@@ -90,7 +90,7 @@ def _filters(one: Any) -> list[int]:
 
 def _refused_filters(one: Any) -> str | None:
     """Why its filters are refused: two that compress would expand a million times."""
-    codes = _filters(one)
+    codes = _dataset_filter_codes(one)
     known = {**_COMPRESSING, **_REARRANGING}
     if strange := [code for code in codes if code not in known]:
         return f"packed by HDF5's filter {strange[0]}; possible: {', '.join(known.values())}"
@@ -107,7 +107,7 @@ def _refused_storage(one: Any, size: int) -> str | None:
         nonlocal longest
         longest = max(longest, about.size)
 
-    if set(_filters(one)) & set(_COMPRESSING):
+    if set(_dataset_filter_codes(one)) & set(_COMPRESSING):
         one.id.chunk_iter(examine)
     return f"{longest} bytes are stored of a chunk of {size}" if longest > size + size // 8 + _OVERHEAD else None
 
@@ -120,7 +120,7 @@ def _large_chunks(one: Any, limits: Input) -> list[tuple[int, ...]]:
         if about.size * _MOST_EXPANSION > limits.max_message_mb * 1e6:
             found.append(about.chunk_offset)
 
-    if one.chunks and _DEFLATE in _filters(one):
+    if one.chunks and _DEFLATE in _dataset_filter_codes(one):
         one.id.chunk_iter(examine)
     return found
 

@@ -33,14 +33,14 @@ class Sets:
     format: str
 
 
-def numbers(file: Path) -> tuple[int, ...]:
+def demonstration_numbers(file: Path) -> tuple[int, ...]:
     """The numbers of a file's demonstrations; empty if it holds a single episode."""
-    with opened(file) as one:
-        return _demos(one)
+    with open_hdf5_file(file) as one:
+        return _demonstration_groups(one)
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def open_hdf5_file(path: Path) -> Iterator[Any]:
     """Open an HDF5 file; FormatError when it is damaged or becomes unreadable."""
     h5py = require_module("h5py", path)
     try:
@@ -51,20 +51,20 @@ def opened(path: Path) -> Iterator[Any]:
         raise FormatError(f"{path}: the HDF5 file cannot be read: {text}") from None
 
 
-def _demos(file: Any) -> tuple[int, ...]:
-    data = _member(file, "data")
-    names = _names(data, _MOST_DEMOS) if data is not None and hasattr(data, "keys") else []
+def _demonstration_groups(file: Any) -> tuple[int, ...]:
+    data = _unlinked_member(file, "data")
+    names = _limited_member_names(data, _MOST_DEMOS) if data is not None and hasattr(data, "keys") else []
     return tuple(sorted(int(match[1]) for name in names if (match := _DEMO.fullmatch(name))))
 
 
 def sets_of(file: Any, path: Path, number: int | None, findings: list[Finding], limits: Input = LIMITS) -> Sets:
     """The datasets of the episode; LogError if that episode, or any, is missing, or it has too many datasets."""
-    demos = _demos(file)
+    demos = _demonstration_groups(file)
     if not demos:
         if number:
             raise LogError(f"{path}: no episode {number}; the file holds one, number 0")
-        rate = _rate(attribute(file, "fps")) or _rate(attribute(file, "hz"))
-        return Sets("", _walk(file, limits), rate, "hdf5")
+        rate = _sampling_rate(read_attribute(file, "fps")) or _sampling_rate(read_attribute(file, "hz"))
+        return Sets("", _walk_datasets(file, limits), rate, "hdf5")
     asked, number = number, demos[0] if number is None else number
     if number not in demos:
         some = ", ".join(map(str, demos[:12]))
@@ -73,27 +73,27 @@ def sets_of(file: Any, path: Path, number: int | None, findings: list[Finding], 
         some = f"episode {number}, the first of {len(demos)}; for another, type: --episode {demos[1]}"
         findings.append(Finding("info", some))
     group = f"data/demo_{number}"
-    demo = _member(file["data"], f"demo_{number}")
+    demo = _unlinked_member(file["data"], f"demo_{number}")
     if demo is None or not hasattr(demo, "keys"):
         raise LogError(f"{path}: {group} is a link out of this file, or no group; give the file that holds it")
-    return Sets(group, _walk(demo, limits), _control_rate(file["data"]), "robomimic")
+    return Sets(group, _walk_datasets(demo, limits), _control_rate(file["data"]), "robomimic")
 
 
-def _walk(top: Any, limits: Input) -> dict[str, Any]:
+def _walk_datasets(top: Any, limits: Input) -> dict[str, Any]:
     """The datasets below a group that are in the file itself, each once: no links, no external data.
 
     Names of the file's own objects (hard links) may lead in a circle, or to one object in many ways.
     """
     found: dict[str, Any] = {}
-    seen, left, budget = {_object(top)}, [(top, "", 0)], _LINKS_A_SET * limits.max_datasets
+    seen, left, budget = {_object_identity(top)}, [(top, "", 0)], _LINKS_A_SET * limits.max_datasets
     while left:
         group, before, depth = left.pop()
-        for name in _names(group, budget + 1):
+        for name in _limited_member_names(group, budget + 1):
             budget -= 1
-            one = _member(group, name)
-            if one is None or _object(one) in seen:
+            one = _unlinked_member(group, name)
+            if one is None or _object_identity(one) in seen:
                 continue
-            seen.add(_object(one))
+            seen.add(_object_identity(one))
             if hasattr(one, "keys"):
                 left += [(one, f"{before}{name}/", depth + 1)] if depth < _DEEPEST else []
             elif _is_own(one):
@@ -104,7 +104,7 @@ def _walk(top: Any, limits: Input) -> dict[str, Any]:
     return dict(sorted(found.items(), key=lambda one: one[0].split("/")))
 
 
-def _names(group: Any, most: int) -> list[str]:
+def _limited_member_names(group: Any, most: int) -> list[str]:
     """The names in a group, `most` at most."""
     found: list[str] = []
 
@@ -116,7 +116,7 @@ def _names(group: Any, most: int) -> list[str]:
     return found
 
 
-def _object(one: Any) -> tuple[int, int]:
+def _object_identity(one: Any) -> tuple[int, int]:
     """What identifies an object of a file, whatever it is called there."""
     about = require_module("h5py", Path(one.file.filename)).h5o.get_info(one.id)
     return int(about.fileno), int(about.addr)
@@ -130,7 +130,7 @@ def _is_own(one: Any) -> bool:
         return False
 
 
-def attribute(one: Any, name: str) -> Any:
+def read_attribute(one: Any, name: str) -> Any:
     """An attribute, or None if NumPy does not know its type."""
     try:
         return one.attrs.get(name)
@@ -144,7 +144,7 @@ def is_bytes_list(one: Any) -> bool:
     return bool(one.dtype == object and h5py.check_vlen_dtype(one.dtype) == np.uint8)
 
 
-def _member(group: Any, name: str) -> Any:
+def _unlinked_member(group: Any, name: str) -> Any:
     """The object of that name, unless it is missing or a link, which may lead out of the file: none is followed."""
     h5py = require_module("h5py", Path(group.file.filename))
     links = group.id.links
@@ -154,7 +154,7 @@ def _member(group: Any, name: str) -> Any:
     return group[raw]
 
 
-def _rate(value: Any) -> float | None:
+def _sampling_rate(value: Any) -> float | None:
     try:
         found = float(value)
     except (TypeError, ValueError):
@@ -164,9 +164,9 @@ def _rate(value: Any) -> float | None:
 
 def _control_rate(data: Any) -> float | None:
     """The control frequency of robomimic's env_args."""
-    stored = attribute(data, "env_args")
+    stored = read_attribute(data, "env_args")
     try:
         args = read_json(stored) if isinstance(stored, str | bytes) else {}
-        return _rate(args["env_kwargs"]["control_freq"])
+        return _sampling_rate(args["env_kwargs"]["control_freq"])
     except (ValueError, KeyError, TypeError):
         return None

@@ -16,7 +16,7 @@ _RECORDED = (".db3", ".mcap", ".bag", ".zst", ".zstd", ".lz4", ".active")
 
 def of_folder(folder: Path) -> Opener | None:
     """The reader of a dataset's folder; None for other folders, and those recorded by rosbag2 or ROS."""
-    if is_dataset(folder):
+    if is_episode_dataset(folder):
         from . import lerobot
 
         return lerobot.open_lerobot
@@ -37,26 +37,26 @@ def of_file(first: bytes) -> Opener | None:
     return tables.open_video if video.is_video(first) else None
 
 
-def is_dataset(folder: Path) -> bool:
+def is_episode_dataset(folder: Path) -> bool:
     """Whether a folder is a dataset of episodes."""
     return (folder / "meta" / "info.json").is_file()
 
 
-def files(folder: Path, number: int | None) -> tuple[Path, ...]:
+def episode_files(folder: Path, number: int | None) -> tuple[Path, ...]:
     """The files of one episode of a dataset's folder; none for a folder without episodes."""
     from . import lerobot
 
-    return lerobot.files(folder, number) if is_dataset(folder) else ()
+    return lerobot.lerobot_episode_files(folder, number) if is_episode_dataset(folder) else ()
 
 
-def numbers(path: Path) -> tuple[int, ...]:
+def episode_numbers(path: Path) -> tuple[int, ...]:
     """The numbers of the episodes in a folder or file; empty if it holds no episodes."""
     from . import hdf5_file, lerobot_layout
 
     if path.is_dir():
-        return lerobot_layout.layout(path).present() if is_dataset(path) else ()
+        return lerobot_layout.read_dataset_layout(path).present() if is_episode_dataset(path) else ()
     if not path.is_file():  # opening a pipe would block
         return ()
     with path.open("rb") as stream:
         is_hdf5 = stream.read(8) == hdf5_file.MAGIC
-    return hdf5_file.numbers(path) if is_hdf5 else ()
+    return hdf5_file.demonstration_numbers(path) if is_hdf5 else ()

@@ -10,10 +10,10 @@ import numpy as np
 
 from ...errors import InputError, LogError
 from ...io import episodes
-from ...io.values import times
+from ...io.values import log_times_ns
 from ..limits import LIMITS, Input
 from ..records import Array, Finding
-from ..topic_names import escape
+from ..topic_names import escape_topic_name
 from . import parquet, video
 from .episode_log import (
     ACTION,
@@ -23,15 +23,15 @@ from .episode_log import (
     JOINT_STATE,
     JOINTS,
     VECTOR,
-    Camera,
+    EpisodeCamera,
     Episode,
     EpisodeLog,
     Item,
-    Signal,
+    EpisodeSignal,
     Texts,
 )  # fmt: skip
-from .lerobot_layout import Layout, Part, layout, tasks
-from .units import unit
+from .lerobot_layout import DatasetLayout, EpisodePart, read_dataset_layout, read_task_texts
+from .units import guess_joint_unit
 
 _STATE = ("observation.state", "observation.qpos", "observation.joint_positions", "state")
 _ACTIONS = ("action", "actions")
@@ -48,24 +48,24 @@ _EXACT_S = 1e-3
 
 def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
     """Open an episode of a LeRobot folder: DATASET#N is number N, DATASET the first existing one."""
-    folder, number = episodes.split(path)
-    known, findings = layout(folder), list[Finding]()
+    folder, number = episodes.split_episode_name(path)
+    known, findings = read_dataset_layout(folder), list[Finding]()
     if number is None:
         there = known.present()
         if not there:
             raise LogError(f"{folder}: none of the {len(known.rows)} episodes it lists has an existing table")
         number = there[0]
         if len(there) > 1:
-            some = f"episode {number}, the first of {_ranges(there)}; for another, type: --episode {there[1]}"
+            some = f"episode {number}, the first of {_format_number_ranges(there)}; for another, type: --episode {there[1]}"
             findings.append(Finding("info", some))
     if not known.holds(number):
-        raise LogError(f"{folder}: no episode {number}; possible: {_ranges(known.present()) or 'none'}")
-    return EpisodeLog(path, _episode(known, number, findings, limits), strict)
+        raise LogError(f"{folder}: no episode {number}; possible: {_format_number_ranges(known.present()) or 'none'}")
+    return EpisodeLog(path, _read_lerobot_episode(known, number, findings, limits), strict)
 
 
-def files(folder: Path, number: int | None) -> tuple[Path, ...]:
+def lerobot_episode_files(folder: Path, number: int | None) -> tuple[Path, ...]:
     """The existing files of an episode (None: the first)."""
-    known = layout(folder)
+    known = read_dataset_layout(folder)
     number = next(filter(known.holds, sorted(known.rows)), 0) if number is None else number
     cameras = [name for name, about in known.features.items() if about.get("dtype") == "video"]
     found = [folder / "meta" / "info.json"]
@@ -74,60 +74,60 @@ def files(folder: Path, number: int | None) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(path for path in found if path.is_file()))
 
 
-def _ranges(numbers: Sequence[int]) -> str:
+def _format_number_ranges(numbers: Sequence[int]) -> str:
     """Format numbers as 0 to 24, or 0, 1, 7."""
     if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
         return f"{numbers[0]} to {numbers[-1]}"
     return ", ".join(map(str, numbers[:12])) + (f" and {len(numbers) - 12} more" if len(numbers) > 12 else "")
 
 
-def _episode(known: Layout, number: int, findings: list[Finding], limits: Input) -> Episode:
+def _read_lerobot_episode(known: DatasetLayout, number: int, findings: list[Finding], limits: Input) -> Episode:
     table = known.table(number)
-    where = parquet.rows(table, "episode_index", number, limits)
+    where = parquet.find_row_runs(table, "episode_index", number, limits)
     if not where:
         raise LogError(f"{table}: no rows of episode {number}")
     numbers = [name for name, about in known.features.items() if about.get("dtype") in _NUMBERS]
     wanted = [name for name in numbers if name not in _BOOKKEEPING and not name.endswith(_STAMP)]
-    found = parquet.columns(table, list(dict.fromkeys([*wanted, *_BOOKKEEPING])), where, limits)
+    found = parquet.read_number_columns(table, list(dict.fromkeys([*wanted, *_BOOKKEEPING])), where, limits)
     count = sum(end - first for first, end in where)
     named = [f"{name}{_STAMP}" for name in known.features if f"{name}{_STAMP}" in known.features]
-    stamps = {name: parquet.integers(table, name, where, limits) for name in named}
-    ns = _times(stamps, found.get("timestamp"), count, known.fps, findings)
-    streams: list[Signal | Texts | Camera] = []
+    stamps = {name: parquet.read_integer_column(table, name, where, limits) for name in named}
+    ns = _find_row_times(stamps, found.get("timestamp"), count, known.fps, findings)
+    streams: list[EpisodeSignal | Texts | EpisodeCamera] = []
     for name in wanted:
-        streams += _signal(name, known, found.get(name), _stamps(stamps, name, ns), findings)
-    streams += _tasks(known, found, ns)
+        streams += _build_feature_signal(name, known, found.get(name), _feature_times(stamps, name, ns), findings)
+    streams += _task_changes(known, found, ns)
     for name, about in known.features.items():
         if about.get("dtype") in ("video", "image"):
-            own = _stamps(stamps, name, ns)
-            shown, begin_s = _shown(found.get("timestamp"), ns), _begin(found.get("timestamp"))
-            streams += _camera(name, known, number, own, shown, begin_s, where, findings, limits)
+            own = _feature_times(stamps, name, ns)
+            shown, begin_s = _video_times(found.get("timestamp"), ns), _begin(found.get("timestamp"))
+            streams += _read_lerobot_camera(name, known, number, own, shown, begin_s, where, findings, limits)
     length = known.rows[number].get("length")
     return Episode(f"lerobot {known.version}", streams, findings, length if isinstance(length, int) else None)
 
 
-def _times(
+def _find_row_times(
     stamps: Mapping[str, Array | None], t: Array | None, count: int, fps: float, findings: list[Finding]
 ) -> Array:
     """Times of the rows (N,) int64 ns: the first stamps, else `timestamp` (s), else row numbers at the rate."""
     own = [ns for ns in stamps.values() if ns is not None]
     if own:
-        return times(own[0])
+        return log_times_ns(own[0])
     if t is None or t.shape[1] != 1 or not np.isfinite(t).all() or np.abs(t).max(initial=0) > 9e9:
         findings.append(Finding("warning", f"no timestamp dates every row; rows are dated at {fps:g} Hz"))
         t = np.arange(count)[:, None] / fps
     if still := int((np.diff(t[:, 0]) <= 0).sum()):
         findings.append(Finding("warning", f"timestamp does not rise in {still} of {count} rows"))
-    return times(EPOCH_NS + np.rint(t[:, 0] * 1e9).astype(np.int64))
+    return log_times_ns(EPOCH_NS + np.rint(t[:, 0] * 1e9).astype(np.int64))
 
 
-def _stamps(stamps: Mapping[str, Array | None], name: str, ns: Array) -> Array:
+def _feature_times(stamps: Mapping[str, Array | None], name: str, ns: Array) -> Array:
     """The feature's own times if the dataset has them, else the rows'."""
     own = stamps.get(f"{name}{_STAMP}")
-    return ns if own is None else times(own)
+    return ns if own is None else log_times_ns(own)
 
 
-def _shown(t: Array | None, ns: Array) -> Array:
+def _video_times(t: Array | None, ns: Array) -> Array:
     """Times (N,) s at which a video shows the rows: `timestamp`, which need not be their stamps; else their times."""
     if t is not None and t.shape == (len(ns), 1) and np.isfinite(t).all():
         return np.asarray(t[:, 0] - t[:1, 0])
@@ -140,7 +140,7 @@ def _begin(t: Array | None) -> float:
     return float(t[0, 0]) if known and t is not None else 0.0
 
 
-def _signal(name: str, known: Layout, values: Array | None, ns: Array, findings: list[Finding]) -> Iterator[Signal]:
+def _build_feature_signal(name: str, known: DatasetLayout, values: Array | None, ns: Array, findings: list[Finding]) -> Iterator[EpisodeSignal]:
     about = known.features[name]
     if values is None or not values.shape[1]:
         findings.append(Finding("lost", f"{name}: info.json declares it, the table holds no such numbers"))
@@ -148,23 +148,23 @@ def _signal(name: str, known: Layout, values: Array | None, ns: Array, findings:
     if values.shape[1] > _MOST_WIDE:
         findings.append(Finding("lost", f"{name}: {values.shape[1]} numbers in a row; at most {_MOST_WIDE} are read"))
         return
-    width = _width(about.get("shape"))
+    width = _declared_width(about.get("shape"))
     if width != values.shape[1]:
         text = f"{name}: info.json declares {width} numbers, the table holds {values.shape[1]}"
         findings.append(Finding("warning", text))
-    names = _names(about.get("names"), values.shape[1])
-    metadata = {FEATURE: name, DTYPE: str(about["dtype"]), **_robot(known, name)}
+    names = _declared_names(about.get("names"), values.shape[1])
+    metadata = {FEATURE: name, DTYPE: str(about["dtype"]), **_robot_metadata(known, name)}
     state = next((one for one in _STATE if known.features.get(one)), None)
-    topic, kind = f"/{escape(name.replace('.', '/'))}", VECTOR
+    topic, kind = f"/{escape_topic_name(name.replace('.', '/'))}", VECTOR
     if name in (state, *_ACTIONS):
         topic, kind = (JOINTS if name == state else ACTION), JOINT_STATE
-        of = unit(about, names, values, str(known.info.get("robot_type")))
+        of = guess_joint_unit(about, names, values, str(known.info.get("robot_type")))
         metadata |= of.metadata
         findings += [Finding(*of.remark)] if name == state else []
-    yield Signal(topic, kind, names, values, ns, metadata)
+    yield EpisodeSignal(topic, kind, names, values, ns, metadata)
 
 
-def _width(shape: Any) -> int | str:
+def _declared_width(shape: Any) -> int | str:
     """The numbers of a row by its declared shape: one without a shape; the shape's text if it is no list of sizes."""
     if not shape:
         return 1
@@ -173,7 +173,7 @@ def _width(shape: Any) -> int | str:
     return math.prod(shape)
 
 
-def _robot(known: Layout, name: str) -> dict[str, str]:
+def _robot_metadata(known: DatasetLayout, name: str) -> dict[str, str]:
     """The joints' metadata from the dataset: rate and robot."""
     if name not in _STATE:
         return {}
@@ -181,7 +181,7 @@ def _robot(known: Layout, name: str) -> dict[str, str]:
     return {"bodylog.fps": f"{known.fps:g}"} | ({"bodylog.robot": robot} if isinstance(robot, str) else {})
 
 
-def _names(declared: Any, count: int) -> tuple[str, ...]:
+def _declared_names(declared: Any, count: int) -> tuple[str, ...]:
     """The names of `count` numbers: a list, or the values of a mapping ({"motors": [...]}); else their indices.
 
     Some datasets nest the list in another, [[...]].
@@ -200,10 +200,10 @@ def _names(declared: Any, count: int) -> tuple[str, ...]:
     return tuple(map(str, range(count)))
 
 
-def _tasks(known: Layout, found: Mapping[str, Array | None], ns: Array) -> Iterator[Texts]:
+def _task_changes(known: DatasetLayout, found: Mapping[str, Array | None], ns: Array) -> Iterator[Texts]:
     """The task at its beginning and at each change."""
     index = found.get("task_index")
-    texts = tasks(known)
+    texts = read_task_texts(known)
     if not texts or not len(ns):
         return
     if index is None or index.shape[1] != 1:
@@ -213,47 +213,47 @@ def _tasks(known: Layout, found: Mapping[str, Array | None], ns: Array) -> Itera
     yield Texts("/task", tuple(texts[int(index[row, 0])] for row in rows), ns[rows], {FEATURE: "task"})
 
 
-def _camera(
-    name: str, known: Layout, number: int, ns: Array, shown: Array, begin_s: float,
+def _read_lerobot_camera(
+    name: str, known: DatasetLayout, number: int, ns: Array, shown: Array, begin_s: float,
     where: Sequence[tuple[int, int]], findings: list[Finding], limits: Input,
-) -> Iterator[Camera]:  # fmt: skip
+) -> Iterator[EpisodeCamera]:  # fmt: skip
     about = known.features[name]
-    topic, metadata = f"/{escape(name.removeprefix('observation.images.').replace('.', '/'))}", {FEATURE: name}
+    topic, metadata = f"/{escape_topic_name(name.removeprefix('observation.images.').replace('.', '/'))}", {FEATURE: name}
     if _is_depth(about):
         findings.append(Finding("info", f"{name}: depth, which is not read"))
         return
     if about["dtype"] == "image":
         table = known.table(number)
         read = partial(_of_table, table, name, where, limits)
-        yield Camera(f"{topic}/image/compressed", ns, read, None, "png", metadata)
+        yield EpisodeCamera(f"{topic}/image/compressed", ns, read, None, "png", metadata)
         return
     try:
         part = known.video(number, name)
         if not part.path.is_file():
             raise LogError(f"{part.path}: there is no such file; is the dataset downloaded completely?")
-        film = video.survey(part.path, limits)
+        film = video.survey_video(part.path, limits)
     except InputError as problem:
         findings.append(Finding("lost", f"{name}: {problem}"))
         return
     frames = _frames_of_rows(film, part, begin_s, shown, known.fps)
     t = film.t[frames] - (film.t[frames[0]] if len(frames) else 0.0)
-    times, more = _dated(name, t, ns, shown, known.fps)
+    times, more = _match_frame_times(name, t, ns, shown, known.fps)
     findings += more
     reader: Callable[[], Iterator[Item]] = partial(_of_video, film, frames)
     grey: Callable[[], Iterator[Item]] = partial(_of_video, film, frames, grey=True)
-    yield Camera(f"{topic}/image", times, reader, (film.width, film.height), "", metadata, grey)
+    yield EpisodeCamera(f"{topic}/image", times, reader, (film.width, film.height), "", metadata, grey)
 
 
 def _is_depth(about: Mapping[str, Any]) -> bool:
-    found = {**_mapping(about.get("info")), **_mapping(about.get("video_info"))}
+    found = {**_mapping_or_empty(about.get("info")), **_mapping_or_empty(about.get("video_info"))}
     return bool(found.get("is_depth_map") or found.get("video.is_depth_map"))
 
 
-def _mapping(value: Any) -> Mapping[str, Any]:
+def _mapping_or_empty(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _frames_of_rows(film: video.Video, part: Part, begin_s: float, shown: Array, fps: float) -> Array:
+def _frames_of_rows(film: video.Video, part: EpisodePart, begin_s: float, shown: Array, fps: float) -> Array:
     """The numbers (K,) of an episode's frames in a video that may be shared, from its start to before its end.
 
     A table whose `timestamp` begins at `begin_s`, a frame and more after 0 s, has the frames from there to its last
@@ -280,7 +280,7 @@ def _frames_of_rows(film: video.Video, part: Part, begin_s: float, shown: Array,
     return nearest if exact and (np.diff(nearest) > 0).all() else frames
 
 
-def _dated(name: str, t: Array, ns: Array, shown: Array, fps: float) -> tuple[Array, list[Finding]]:
+def _match_frame_times(name: str, t: Array, ns: Array, shown: Array, fps: float) -> tuple[Array, list[Finding]]:
     """Times (ns) of frames at t (K,) s in a video: frame k has the time of row k, `shown` then, if the counts agree."""
     if len(t) != len(ns):
         less = "lost" if len(t) < len(ns) else "warning"
@@ -294,13 +294,13 @@ def _dated(name: str, t: Array, ns: Array, shown: Array, fps: float) -> tuple[Ar
 
 
 def _of_table(table: Path, name: str, where: Sequence[tuple[int, int]], limits: Input) -> Iterator[Item]:
-    yield from enumerate(parquet.encoded(table, name, where, limits))
+    yield from enumerate(parquet.read_encoded_images(table, name, where, limits))
 
 
 def _of_video(film: video.Video, frames: Array, grey: bool = False) -> Iterator[Item]:
     if not len(frames):
         return
     places = {number: place for place, number in enumerate(frames.tolist())}
-    for number, image in video.images(film, int(frames[0]), int(frames[-1]) + 1, grey):
+    for number, image in video.iterate_video_images(film, int(frames[0]), int(frames[-1]) + 1, grey):
         if number in places:
             yield places[number], image

@@ -9,7 +9,7 @@ from typing import Any
 
 from ...errors import FormatError, LogError
 from ...io.contained import is_inside
-from ...io.values import number, read_json
+from ...io.values import number_in_64_bits, read_json
 from . import parquet
 
 INFO, EPISODES, TASKS = "meta/info.json", "meta/episodes.jsonl", "meta/tasks.jsonl"
@@ -21,7 +21,7 @@ _PLACE = re.compile(r"\{(\w+)(?::0?(\d{1,2})d)?\}")
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class EpisodePart:
     """The place of a piece of an episode: a file, and in a shared video its start and end (s)."""
 
     path: Path
@@ -30,7 +30,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class DatasetLayout:
     """A dataset: its folder, info.json, features {name: declaration}, frames per second, and the episodes' rows.
 
     `rows` {episode: its entry in the dataset's list}.
@@ -56,15 +56,15 @@ class Layout:
         """The Parquet file with the rows of an episode."""
         return self._path("data_path", self._keys(episode, "data"))
 
-    def video(self, episode: int, feature: str) -> Part:
+    def video(self, episode: int, feature: str) -> EpisodePart:
         """The video of a camera in an episode."""
         keys = {**self._keys(episode, f"videos/{feature}"), "video_key": feature}
         path = self._path("video_path", keys)
         if self.one_file_each:
-            return Part(path)
+            return EpisodePart(path)
         row, name = self.rows[episode], f"videos/{feature}"
-        start, end = (_real(row.get(f"{name}/{side}_timestamp")) for side in ("from", "to"))
-        return Part(path, start or 0.0, end)
+        start, end = (_finite_number_or_none(row.get(f"{name}/{side}_timestamp")) for side in ("from", "to"))
+        return EpisodePart(path, start or 0.0, end)
 
     def present(self) -> tuple[int, ...]:
         """The episodes whose tables exist."""
@@ -103,22 +103,22 @@ class Layout:
         path = Path(text)
         if path.is_absolute() or ".." in path.parts or "{" in text or "\0" in text:
             raise FormatError(f"{self.folder}/{INFO}: {key} = {template!r:.80} is not a path within the dataset")
-        return _own(self.folder / path, self.folder)
+        return _require_inside_dataset(self.folder / path, self.folder)
 
 
-def layout(folder: Path) -> Layout:
+def read_dataset_layout(folder: Path) -> DatasetLayout:
     """The layout of a dataset; FormatError or LogError for broken meta files."""
-    info = _own(folder / INFO, folder).stat()
+    info = _require_inside_dataset(folder / INFO, folder).stat()
     tables = _episode_tables(folder)
     listed = [path.stat() for path in (folder / EPISODES, *tables) if path.is_file()]
-    return _layout(folder, *((one.st_mtime_ns, one.st_size) for one in (info, *listed)))
+    return _read_cached_layout(folder, *((one.st_mtime_ns, one.st_size) for one in (info, *listed)))
 
 
 def _episode_tables(folder: Path) -> list[Path]:
-    return [_own(path, folder) for path in sorted((folder / EPISODE_TABLES).rglob("*.parquet"))]
+    return [_require_inside_dataset(path, folder) for path in sorted((folder / EPISODE_TABLES).rglob("*.parquet"))]
 
 
-def _own(path: Path, folder: Path) -> Path:
+def _require_inside_dataset(path: Path, folder: Path) -> Path:
     """The path; FormatError where a link leads out of the dataset."""
     if not is_inside(path, folder):
         raise FormatError(f"{path}: is a link out of the dataset; copy the file in its place")
@@ -126,43 +126,43 @@ def _own(path: Path, folder: Path) -> Path:
 
 
 @lru_cache(maxsize=4)
-def _layout(folder: Path, *_: tuple[int, int]) -> Layout:
-    """As `layout`, cached while the files do not change."""
+def _read_cached_layout(folder: Path, *_: tuple[int, int]) -> DatasetLayout:
+    """As `read_dataset_layout`, cached while the files do not change."""
     path = folder / INFO
-    info = _json(path)
+    info = _read_meta_json(path)
     features = info.get("features") if isinstance(info, dict) else None
     if not isinstance(features, dict) or len(features) > _MOST_FEATURES:
         raise FormatError(f"{path}: no LeRobot info.json: features is {type(features).__name__}")
     version = str(info.get("codebase_version", ""))
     if not re.match(r"v[23]\.\d", version):
         raise LogError(f"{path}: codebase_version is {version!r:.40}; v2.0, v2.1 and v3.0 are read")
-    fps = _real(info.get("fps"))
+    fps = _finite_number_or_none(info.get("fps"))
     if fps is None or not 0 < fps <= 1e5:
         raise FormatError(f"{path}: fps is {info.get('fps')!r:.40}; frames per second are expected")
     known = {str(name): declared for name, declared in features.items() if isinstance(declared, dict)}
-    listed = _listed_v3(folder) if version.startswith("v3") else _listed_v2(folder)
-    return Layout(folder, info, known, fps, listed)
+    listed = _list_v3_episodes(folder) if version.startswith("v3") else _listed_v2(folder)
+    return DatasetLayout(folder, info, known, fps, listed)
 
 
-def stored_statistics(layout: Layout) -> tuple[dict[int, Any], Any]:
+def stored_statistics(layout: DatasetLayout) -> tuple[dict[int, Any], Any]:
     """Statistics as the dataset's files have them: {episode: {feature: …}}, and of the whole; empty
     without a file."""
     folder = layout.folder
     each, whole = folder / EPISODE_STATISTICS, folder / STATISTICS
-    rows = _lines(each) if each.is_file() else []
+    rows = _read_meta_json_lines(each) if each.is_file() else []
     numbered = [row for row in rows if _is_index(row.get("episode_index"))]
     by_episode = {row["episode_index"]: row.get("stats") for row in numbered}
-    return by_episode, _json(whole) if whole.is_file() else {}
+    return by_episode, _read_meta_json(whole) if whole.is_file() else {}
 
 
-def tasks(layout: Layout) -> dict[int, str]:
+def read_task_texts(layout: DatasetLayout) -> dict[int, str]:
     """The texts of the tasks by index; empty if the dataset lists none."""
     folder = layout.folder
     if layout.one_file_each:
-        found = _lines(folder / TASKS) if (folder / TASKS).is_file() else []
+        found = _read_meta_json_lines(folder / TASKS) if (folder / TASKS).is_file() else []
         pairs = [(row.get("task_index"), row.get("task")) for row in found]
     elif (folder / TASK_TABLE).is_file():
-        table = parquet.objects(_own(folder / TASK_TABLE, folder), ("task_index", "task", "__index_level_0__"))
+        table = parquet.read_object_columns(_require_inside_dataset(folder / TASK_TABLE, folder), ("task_index", "task", "__index_level_0__"))
         names = table.get("task") or table.get("__index_level_0__") or []
         pairs = list(zip(table.get("task_index", []), names, strict=False))
     else:
@@ -174,21 +174,21 @@ def _listed_v2(folder: Path) -> dict[int, Mapping[str, Any]]:
     path = folder / EPISODES
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; is the dataset downloaded completely?")
-    return {row["episode_index"]: row for row in _lines(path) if _is_index(row.get("episode_index"))}
+    return {row["episode_index"]: row for row in _read_meta_json_lines(path) if _is_index(row.get("episode_index"))}
 
 
 _COLUMNS = ("episode_index", "tasks", "length", "data/chunk_index", "data/file_index")
 
 
-def _listed_v3(folder: Path) -> dict[int, Mapping[str, Any]]:
+def _list_v3_episodes(folder: Path) -> dict[int, Mapping[str, Any]]:
     found: dict[int, Mapping[str, Any]] = {}
     tables = _episode_tables(folder)
     if not tables:
         raise LogError(f"{folder / EPISODE_TABLES}: there are no tables; is the dataset downloaded completely?")
     for path in tables:
-        with parquet.opened(path) as file:
+        with parquet.open_parquet(path) as file:
             names = [name for name in file.schema_arrow.names if name in _COLUMNS or name.startswith("videos/")]
-        columns = parquet.objects(path, names)
+        columns = parquet.read_object_columns(path, names)
         for cells in zip(*columns.values(), strict=True):
             row = dict(zip(columns, cells, strict=True))
             if _is_index(row.get("episode_index")):
@@ -200,16 +200,16 @@ def _is_index(value: Any) -> bool:
     return isinstance(value, int) and 0 <= value < 10**9
 
 
-def _real(value: Any) -> float | None:
+def _finite_number_or_none(value: Any) -> float | None:
     """A finite number, or None."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    found = float(number(value))
+    found = float(number_in_64_bits(value))
     return found if found - found == 0 else None
 
 
-def _text(path: Path) -> str:
-    size = _own(path, path.parent.parent).stat().st_size
+def _read_meta_text(path: Path) -> str:
+    size = _require_inside_dataset(path, path.parent.parent).stat().st_size
     if size > _MOST_BYTES:
         raise LogError(f"{path}: {size} bytes; at most {_MOST_BYTES} are read")
     try:
@@ -218,17 +218,17 @@ def _text(path: Path) -> str:
         raise FormatError(f"{path}: this is not UTF-8 text") from None
 
 
-def _json(path: Path) -> Any:
+def _read_meta_json(path: Path) -> Any:
     try:
-        return read_json(_text(path))
+        return read_json(_read_meta_text(path))
     except ValueError as problem:
         raise FormatError(f"{path}: this is not JSON: {problem}") from None
 
 
-def _lines(path: Path) -> Sequence[Mapping[str, Any]]:
+def _read_meta_json_lines(path: Path) -> Sequence[Mapping[str, Any]]:
     """The objects of a file of JSON lines; FormatError for an invalid line."""
     found = []
-    for number_, line in enumerate(_text(path).splitlines(), 1):
+    for number_, line in enumerate(_read_meta_text(path).splitlines(), 1):
         if line.strip():
             try:
                 row = read_json(line)

@@ -24,7 +24,7 @@ OBJECT_BYTES = 64
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def open_parquet(path: Path) -> Iterator[Any]:
     """Open a Parquet file; LogError if it is not one, FormatError if it is damaged."""
     arrow, parquet = require_module("pyarrow", path), require_module("pyarrow.parquet", path)
     if not path.is_file():
@@ -38,18 +38,18 @@ def opened(path: Path) -> Iterator[Any]:
         raise FormatError(f"{path}: the table cannot be read: {' '.join(str(problem).split())[:160]}") from None
 
 
-def rows(path: Path, column: str, value: int, limits: Input = LIMITS) -> list[tuple[int, int]]:
+def find_row_runs(path: Path, column: str, value: int, limits: Input = LIMITS) -> list[tuple[int, int]]:
     """The rows where an integer column has a value: runs (first, beyond the last), in file order."""
-    with opened(path) as file:
+    with open_parquet(path) as file:
         if column not in file.schema_arrow.names:
             return [(0, file.metadata.num_rows)]
         size = TableSize(limits)
-        is_it = _numbers(_column(file, column, None, path, limits, size), column, size).reshape(-1) == value
+        is_it = _arrow_to_floats(_read_column_run(file, column, None, path, limits, size), column, size).reshape(-1) == value
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_it, [False]]).astype(np.int8)))
     return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
 
 
-def columns(
+def read_number_columns(
     path: Path, names: Sequence[str], where: Sequence[tuple[int, int]], limits: Input = LIMITS
 ) -> dict[str, Array | None]:
     """Columns of numbers (n,K) float64, NaN where empty, in runs of rows; None for other columns.
@@ -57,33 +57,33 @@ def columns(
     A column of variable-length lists is as wide as its longest, padded with NaN. LogError where all are too large.
     """
     size = TableSize(limits)
-    with opened(path) as file:
+    with open_parquet(path) as file:
         there = [name for name in names if name in file.schema_arrow.names]
-        return {name: _found(file, name, where, path, limits, size) for name in there}
+        return {name: _read_runs(file, name, where, path, limits, size) for name in there}
 
 
-def integers(path: Path, name: str, where: Sequence[tuple[int, int]], limits: Input = LIMITS) -> Array | None:
+def read_integer_column(path: Path, name: str, where: Sequence[tuple[int, int]], limits: Input = LIMITS) -> Array | None:
     """A column of whole numbers (n,) int64 in runs of rows, without rounding; None for other columns."""
-    with opened(path) as file:
+    with open_parquet(path) as file:
         types = require_module("pyarrow", path).types
         if name not in file.schema_arrow.names or not types.is_integer(file.schema_arrow.field(name).type):
             return None
         size = TableSize(limits)
-        pieces = [_column(file, name, run, path, limits, size) for run in where]
+        pieces = [_read_column_run(file, name, run, path, limits, size) for run in where]
         if any(piece.null_count for piece in pieces):
             return None
         return np.concatenate([np.empty(0, np.int64), *(piece.to_numpy() for piece in pieces)]).astype(np.int64)
 
 
-def objects(path: Path, names: Sequence[str], limits: Input = LIMITS) -> Mapping[str, list[Any]]:
+def read_object_columns(path: Path, names: Sequence[str], limits: Input = LIMITS) -> Mapping[str, list[Any]]:
     """Whole columns of a small table as Python values."""
     size = TableSize(limits)
-    with opened(path) as file:
+    with open_parquet(path) as file:
         kept = [name for name in names if name in file.schema_arrow.names]
-        return {name: _column(file, name, None, path, limits, size, OBJECT_BYTES).to_pylist() for name in kept}
+        return {name: _read_column_run(file, name, None, path, limits, size, OBJECT_BYTES).to_pylist() for name in kept}
 
 
-def encoded(
+def read_encoded_images(
     path: Path, column: str, where: Sequence[tuple[int, int]], limits: Input = LIMITS
 ) -> Iterator[bytes | None]:
     """Encoded images of a column of {bytes, path}, or of bytes, row by row; None for a missing image.
@@ -91,23 +91,23 @@ def encoded(
     LogError where they are more than a file may unpack to.
     """
     allowance, packed, unpacked = Allowance(path, limits), path.stat().st_size, 0
-    with opened(path) as file:
+    with open_parquet(path) as file:
         first = 0
         for group in range(file.num_row_groups):
             end = first + file.metadata.row_group(group).num_rows
             some = [(max(a, first) - first, min(b, end) - first) for a, b in where if a < end and b > first]
-            for data in _images(file, group, column, some, path, limits) if some else ():
+            for data in _images_of_row_group(file, group, column, some, path, limits) if some else ():
                 unpacked += len(data or b"")
                 allowance.check(packed, unpacked)
                 yield data
             first = end
 
 
-def _images(
+def _images_of_row_group(
     file: Any, group: int, column: str, where: Sequence[tuple[int, int]], path: Path, limits: Input
 ) -> Iterator[bytes | None]:
-    leaves = parquet_pages.leaves(path, file, limits, (group,))
-    largest = max((leaf.largest for leaf in parquet_pages.under(leaves, column)), default=0)
+    leaves = parquet_pages.list_parquet_leaves(path, file, limits, (group,))
+    largest = max((leaf.largest for leaf in parquet_pages.leaves_under_column(leaves, column)), default=0)
     at_once = max(1, min(_ROWS_AT_ONCE, int(limits.max_message_mb * 1e6) // max(largest, 1)))
     at = 0
     for piece in file.iter_batches(batch_size=at_once, row_groups=[group], columns=[column]):
@@ -119,19 +119,19 @@ def _images(
             at += 1
 
 
-def _found(
+def _read_runs(
     file: Any, name: str, where: Sequence[tuple[int, int]], path: Path, limits: Input, size: TableSize
 ) -> Array | None:
     if not _holds_numbers(file.schema_arrow.field(name).type):
         return None
-    pieces = [_numbers(_column(file, name, run, path, limits, size), name, size) for run in where]
+    pieces = [_arrow_to_floats(_read_column_run(file, name, run, path, limits, size), name, size) for run in where]
     width = max((piece.shape[1] for piece in pieces), default=0)
     if any(piece.shape[1] != width for piece in pieces):
         size.take(8 * width * sum(map(len, pieces)), f"{path}: {name}, each row as wide as the widest")
-    return np.concatenate([np.empty((0, width)), *(_padded(piece, width) for piece in pieces)])
+    return np.concatenate([np.empty((0, width)), *(_pad_columns_with_nan(piece, width) for piece in pieces)])
 
 
-def _column(
+def _read_column_run(
     file: Any, name: str, run: tuple[int, int] | None, path: Path, limits: Input, size: TableSize,
     bytes_each: int = 8,
 ) -> Any:  # fmt: skip
@@ -141,7 +141,7 @@ def _column(
     for group in range(file.num_row_groups):
         end = first + file.metadata.row_group(group).num_rows
         if run is None or (run[0] < end and run[1] > first):
-            _take(file, name, group, path, limits, size, bytes_each)
+            _charge_column_size(file, name, group, path, limits, size, bytes_each)
             column = file.read_row_group(group, columns=[name]).column(name)
             low, high = (0, end - first) if run is None else (max(run[0] - first, 0), min(run[1], end) - first)
             pieces += column.slice(low, high - low).chunks
@@ -150,16 +150,16 @@ def _column(
     return arrow.chunked_array(pieces, type=kind).combine_chunks()
 
 
-def _take(file: Any, name: str, group: int, path: Path, limits: Input, size: TableSize, bytes_each: int) -> None:
+def _charge_column_size(file: Any, name: str, group: int, path: Path, limits: Input, size: TableSize, bytes_each: int) -> None:
     """Count what a column of a row group takes: its values, and the texts of one that holds no numbers."""
-    found = list(parquet_pages.under(parquet_pages.leaves(path, file, limits, (group,)), name))
+    found = list(parquet_pages.leaves_under_column(parquet_pages.list_parquet_leaves(path, file, limits, (group,)), name))
     whole = bytes_each * sum(leaf.values for leaf in found)
     if not _holds_numbers(file.schema_arrow.field(name).type):
         whole += sum(leaf.texts_copied for leaf in found)
     size.take(whole, f"{path}: {name}")
 
 
-def _numbers(column: Any, name: str, size: TableSize) -> Array:
+def _arrow_to_floats(column: Any, name: str, size: TableSize) -> Array:
     """An Arrow column of numbers as (n,K) float64; nested lists are flattened, and shorter ones end in NaN."""
     import pyarrow as arrow
     from pyarrow import compute
@@ -204,5 +204,5 @@ def _is_list(kind: Any) -> bool:
     return bool(types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind))
 
 
-def _padded(values: Array, width: int) -> Array:
+def _pad_columns_with_nan(values: Array, width: int) -> Array:
     return np.hstack([values, np.full((len(values), width - values.shape[1]), np.nan)])

@@ -31,6 +31,6 @@ def write_later(source: Path, out: Path, later_s: float) -> None:
             packet.stream = copied
             after.mux(packet)
     limits = Input(max_frames=1 << 31)
-    first, second = (video.survey(path, limits).t for path in (source, out))
+    first, second = (video.survey_video(path, limits).t for path in (source, out))
     if len(first) != len(second) or np.abs(second - first - later_s).max(initial=0) > _TOLERANCE_S:
         raise FormatError(f"{source}: its packets cannot be shown {later_s:g} s later")

@@ -72,12 +72,12 @@ class Sampled:
         return {name: values.reshape(3, 1, 1).tolist() for name, values in found.items()} | {"count": [count]}
 
 
-def together(stats: Sequence[Mapping[str, Mapping[str, Any]]]) -> dict[str, dict[str, Any]]:
+def combine_statistics(stats: Sequence[Mapping[str, Mapping[str, Any]]]) -> dict[str, dict[str, Any]]:
     """Combine the statistics of all episodes."""
-    return {name: _joined([one[name] for one in stats]) for name in stats[0]} if stats else {}
+    return {name: _combine_feature_statistics([one[name] for one in stats]) for name in stats[0]} if stats else {}
 
 
-def _joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _combine_feature_statistics(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     counts = np.array([one["count"][0] for one in parts], float)
     mean, std = (np.array([one[key] for one in parts], float) for key in ("mean", "std"))
     weight = (counts / counts.sum()).reshape(-1, *[1] * (mean.ndim - 1))

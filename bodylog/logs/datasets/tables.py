@@ -14,15 +14,15 @@ import numpy as np
 from ...errors import BodylogError, LogError
 from ...io import episodes
 from ...io.contained import file_inside, is_inside
-from ...io.values import times
+from ...io.values import log_times_ns
 from ..limits import LIMITS, Input
 from ..records import Array, Finding
-from ..tables.pose_columns import IMAGES, label, time_column
-from ..tables.table_file import SUFFIXES, read
-from ..topic_names import escape
+from ..tables.pose_columns import IMAGES, is_label_column, time_column
+from ..tables.table_file import SUFFIXES, read_table_file
+from ..topic_names import escape_topic_name
 from . import video
-from .episode_log import EPOCH_NS, JOINT_STATE, JOINTS, Camera, Episode, EpisodeLog, Item, Signal, Texts
-from .units import unit
+from .episode_log import EPOCH_NS, JOINT_STATE, JOINTS, EpisodeCamera, Episode, EpisodeLog, Item, EpisodeSignal, Texts
+from .units import guess_joint_unit
 
 _LARGEST = 64 << 20
 _MOST_FILES = 10_000
@@ -44,28 +44,28 @@ class _Dated:
 
 def is_tables(folder: Path) -> bool:
     """Whether a folder holds tables or videos, and is not a recording."""
-    return any(True for _ in _files(folder, (*SUFFIXES, *video.SUFFIXES)))
+    return any(True for _ in _files_with_suffixes(folder, (*SUFFIXES, *video.SUFFIXES)))
 
 
 def open_folder(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
     """Open the folder as a log; LogError when no table gives times."""
-    if episodes.split(path)[1] is not None:
+    if episodes.split_episode_name(path)[1] is not None:
         raise LogError(f"{path}: the folder holds no episodes; leave out the #")
     findings: list[Finding] = []
-    files = _own(_files(path, tuple(SUFFIXES)), path, findings)
-    tables = [one for file in files for one in _table(file, path, findings, limits)]
-    films = _films(list(_own(_files(path, video.SUFFIXES), path, findings)), limits, findings)
-    return EpisodeLog(path, _episode(path, tables, films, findings), strict)
+    files = _files_in_folder(_files_with_suffixes(path, tuple(SUFFIXES)), path, findings)
+    tables = [one for file in files for one in _read_timed_table(file, path, findings, limits)]
+    films = _survey_videos(list(_files_in_folder(_files_with_suffixes(path, video.SUFFIXES), path, findings)), limits, findings)
+    return EpisodeLog(path, _build_table_episode(path, tables, films, findings), strict)
 
 
 def open_video(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
     """Open a video as a log, with times from a table beside it, else its own."""
-    if episodes.split(path)[1] is not None:
+    if episodes.split_episode_name(path)[1] is not None:
         raise LogError(f"{path}: a video holds no episodes; leave out the #")
-    film, findings = video.survey(path, limits), list[Finding]()
+    film, findings = video.survey_video(path, limits), list[Finding]()
     table = table_beside(path)
-    tables = [] if table is None else list(_table(table, path.parent, findings, limits))
-    return EpisodeLog(path, _episode(path, tables, [film], findings, "video"), strict)
+    tables = [] if table is None else list(_read_timed_table(table, path.parent, findings, limits))
+    return EpisodeLog(path, _build_table_episode(path, tables, [film], findings, "video"), strict)
 
 
 def table_beside(film: Path) -> Path | None:
@@ -79,13 +79,13 @@ def times_beside(film: Path) -> Array | None:
     table, findings = table_beside(film), list[Finding]()
     if table is None:
         return None
-    found = next(iter(_table(table, film.parent, findings)), None)
+    found = next(iter(_read_timed_table(table, film.parent, findings)), None)
     if found is None:
         raise LogError(f"{film.parent / findings[-1].text}; rename it, or type: [topics] rate")
     return found.t
 
 
-def _own(files: Iterator[Path], folder: Path, findings: list[Finding]) -> Iterator[Path]:
+def _files_in_folder(files: Iterator[Path], folder: Path, findings: list[Finding]) -> Iterator[Path]:
     """The files that stand in the folder; one behind a link that leads out of it gives a finding."""
     for file in files:
         if is_inside(file, folder):
@@ -95,17 +95,17 @@ def _own(files: Iterator[Path], folder: Path, findings: list[Finding]) -> Iterat
             findings.append(Finding("lost", f"{file.relative_to(folder)}: {text}"))
 
 
-def _films(files: Sequence[Path], limits: Input, findings: list[Finding]) -> list[video.Video]:
+def _survey_videos(files: Sequence[Path], limits: Input, findings: list[Finding]) -> list[video.Video]:
     found = []
     for file in files:
         try:
-            found.append(video.survey(file, limits))
+            found.append(video.survey_video(file, limits))
         except LogError as problem:
             findings.append(Finding("lost", str(problem)))
     return found
 
 
-def _files(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
+def _files_with_suffixes(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
     """The folder's files with these suffixes, and tables in its subfolders, in name order."""
     names = sorted(path for path in folder.iterdir() if path.name[0] != ".")[:_MOST_FILES]
     yield from (path for path in names if path.suffix.lower() in suffixes and path.is_file())
@@ -114,70 +114,70 @@ def _files(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
         yield from (path for path in more if path.suffix.lower() in SUFFIXES and path.is_file())
 
 
-def _table(file: Path, folder: Path, findings: list[Finding], limits: Input = LIMITS) -> Iterator[_Dated]:
+def _read_timed_table(file: Path, folder: Path, findings: list[Finding], limits: Input = LIMITS) -> Iterator[_Dated]:
     """A table whose rows have times; any other table gives a finding."""
     where = file.relative_to(folder)
     try:
-        table = read(file, SUFFIXES[file.suffix.lower()], limits)
+        table = read_table_file(file, SUFFIXES[file.suffix.lower()], limits)
     except BodylogError as problem:
         findings.append(Finding("lost", str(problem)))
         return
     findings += [Finding("lost", f"{where}: {text}") for text in table.lost]
-    numbers = {_plain(name): values for name, values in table.numbers.items()}
+    numbers = {_undecorated_column(name): values for name, values in table.numbers.items()}
     column, t = time_column(numbers)
     if column is None or not np.isfinite(t).all() or np.abs(t).max(initial=0) > 4e9:
         reason = "no column of times dates every row" if column is None else f"column {column} does not date every row"
         text = f"{where}: {reason}, so the table is not used; its columns are {', '.join(table.names[:12])}"
         findings.append(Finding("warning", text))
         return
-    images = {_plain(name): files for name, files in table.texts.items() if _are_images(files)}
+    images = {_undecorated_column(name): files for name, files in table.texts.items() if _are_image_files(files)}
     joints = {name: values for name, values in numbers.items() if _is_joint(name, values)}
     name = file.parent.name if file.stem.lower() == "data" and file.parent != folder else file.stem
     yield _Dated(file, name, t, joints, images)
 
 
 def _is_joint(name: str, values: Array) -> bool:
-    return time_column({name: values})[0] is None and not label(name) and bool(np.isfinite(values).any())
+    return time_column({name: values})[0] is None and not is_label_column(name) and bool(np.isfinite(values).any())
 
 
-def _plain(name: str) -> str:
+def _undecorated_column(name: str) -> str:
     """A column's name without EuRoC's decoration: `#timestamp [ns]` is timestamp_ns."""
     return re.sub(r"\s*[\[(](\w+)[\])]$", r"_\1", name.lstrip("# "))
 
 
-def _are_images(files: Array) -> bool:
+def _are_image_files(files: Array) -> bool:
     filled = [str(name).lower() for name in files.tolist() if name]
     return bool(filled) and sum(name.endswith(IMAGES) for name in filled) > len(filled) / 2
 
 
-def _episode(
+def _build_table_episode(
     path: Path, tables: Sequence[_Dated], films: Sequence[video.Video], findings: list[Finding], form: str = "tables"
 ) -> Episode:
     first = min((float(one.t.min()) for one in tables), default=0.0)
     shift = 0.0 if first >= 1.0 else EPOCH_NS / 1e9 - first
-    streams: list[Signal | Texts | Camera] = []
+    streams: list[EpisodeSignal | Texts | EpisodeCamera] = []
     beside: dict[Path, _Dated] = {}
     for film in films:
-        own = next((one for one in tables if _dates(one, film)), None)
+        own = next((one for one in tables if _matches_video_frames(one, film)), None)
         beside |= {} if own is None else {own.path: own}
-        streams += _film(film, own, shift, findings)
+        streams += _build_video_camera(film, own, shift, findings)
     free = JOINTS
     for one in tables:
         for column, files in one.images.items():
-            streams.append(_camera(one, column, files, shift))
+            streams.append(_build_image_camera(one, column, files, shift))
         if one.numbers and one.path not in beside:
-            streams.append(_joints(one, free or f"/{escape(one.name)}", shift, findings))
+            streams.append(_build_joint_signal(one, free or f"/{escape_topic_name(one.name)}", shift, findings))
             free = ""
     if not streams:
         raise LogError(f"{path}: no table with a column of times has images or joints, e.g. t,file or t,elbow")
     return Episode(form, streams, findings)
 
 
-def _dates(table: _Dated, film: video.Video) -> bool:
+def _matches_video_frames(table: _Dated, film: video.Video) -> bool:
     return not table.images and table.path.stem in {f"{film.path.stem}{ending}" for ending in _ENDINGS}
 
 
-def _film(film: video.Video, table: _Dated | None, shift: float, findings: list[Finding]) -> Iterator[Camera]:
+def _build_video_camera(film: video.Video, table: _Dated | None, shift: float, findings: list[Finding]) -> Iterator[EpisodeCamera]:
     """A video as a camera: frame k has the time of row k of its table, or its presentation time."""
     t = film.t - film.t[0] + EPOCH_NS / 1e9 if table is None and len(film.t) else film.t
     if table is not None:
@@ -186,41 +186,41 @@ def _film(film: video.Video, table: _Dated | None, shift: float, findings: list[
     if len(t) != len(film.t):
         text = f"{film.path.name}: the video has {len(film.t)} frames, its table {len(t)} rows"
         findings.append(Finding("lost", f"{text}; frame k is dated by row k"))
-    reader = partial(_frames, film, count)
-    yield Camera(f"/{escape(film.path.stem)}/image", _ns(t[:count]), reader, (film.width, film.height))
+    reader = partial(_video_frame_images, film, count)
+    yield EpisodeCamera(f"/{escape_topic_name(film.path.stem)}/image", _seconds_to_ns(t[:count]), reader, (film.width, film.height))
 
 
-def _camera(table: _Dated, column: str, files: Array, shift: float) -> Camera:
+def _build_image_camera(table: _Dated, column: str, files: Array, shift: float) -> EpisodeCamera:
     several = len(table.images) > 1
-    topic = f"/{escape(f'{table.name}/{column}' if several else table.name)}/image/compressed"
+    topic = f"/{escape_topic_name(f'{table.name}/{column}' if several else table.name)}/image/compressed"
     rows = np.array([k for k, name in enumerate(files.tolist()) if name], np.int64)
     names = tuple(str(files[row]) for row in rows.tolist())
-    return Camera(topic, _ns(table.t[rows] + shift), partial(_files_of, table.path.parent, names), None, "jpeg")
+    return EpisodeCamera(topic, _seconds_to_ns(table.t[rows] + shift), partial(_files_of, table.path.parent, names), None, "jpeg")
 
 
-def _joints(table: _Dated, topic: str, shift: float, findings: list[Finding]) -> Signal:
+def _build_joint_signal(table: _Dated, topic: str, shift: float, findings: list[Finding]) -> EpisodeSignal:
     names = tuple(table.numbers)
     values = np.column_stack(list(table.numbers.values()))
-    of = unit({}, names, values)
+    of = guess_joint_unit({}, names, values)
     findings.append(Finding(of.remark[0], f"{table.path.name}: {of.remark[1]}"))
-    return Signal(topic, JOINT_STATE, names, values, _ns(table.t + shift), of.metadata)
+    return EpisodeSignal(topic, JOINT_STATE, names, values, _seconds_to_ns(table.t + shift), of.metadata)
 
 
-def _ns(t: Array) -> Array:
-    return times(np.rint(t * 1e9).astype(np.int64))
+def _seconds_to_ns(t: Array) -> Array:
+    return log_times_ns(np.rint(t * 1e9).astype(np.int64))
 
 
-def _frames(film: video.Video, count: int) -> Iterator[Item]:
-    yield from video.images(film, 0, count)
+def _video_frame_images(film: video.Video, count: int) -> Iterator[Item]:
+    yield from video.iterate_video_images(film, 0, count)
 
 
 def _files_of(folder: Path, names: Sequence[str]) -> Iterator[Item]:
     """The bytes of image files; None for those missing, too large, or outside the folder."""
     for number, name in enumerate(names):
-        yield number, next((data for place in _PLACES if (data := _bytes(folder, place, name))), None)
+        yield number, next((data for place in _PLACES if (data := _read_image_file(folder, place, name))), None)
 
 
-def _bytes(folder: Path, place: str, name: str) -> bytes | None:
+def _read_image_file(folder: Path, place: str, name: str) -> bytes | None:
     file = file_inside(folder, str(Path(place) / name))
     try:
         return file.read_bytes() if file is not None and file.stat().st_size <= _LARGEST else None

@@ -61,7 +61,7 @@ class Unit:
         return "warning", f"joints: {self.why}; their unit is not declared and they are kept as they are; {advice}"
 
 
-def unit(feature: Mapping[str, Any], names: Sequence[str], values: Array, robot: str = "") -> Unit:
+def guess_joint_unit(feature: Mapping[str, Any], names: Sequence[str], values: Array, robot: str = "") -> Unit:
     """The unit of joints from their feature's declaration, their names, and their values (N,K); of counts of a
     `robot` whose calibration is public, their zero as well."""
     found = _declared(feature, names, values)
@@ -73,31 +73,31 @@ def unit(feature: Mapping[str, Any], names: Sequence[str], values: Array, robot:
 def _declared(feature: Mapping[str, Any], names: Sequence[str], values: Array) -> Unit:
     for key in ("unit", "units"):
         if isinstance(declared := feature.get(key), str) and (known := _WORDS.get(declared.strip().lower())):
-            return Unit(known, True, _turn(known, values), f"as the dataset declares ({key}: {declared})")
-    endings = {_WORDS.get(match["unit"].lower()) if (match := _last(name)) else None for name in names}
+            return Unit(known, True, _turn_of_unit(known, values), f"as the dataset declares ({key}: {declared})")
+    endings = {_WORDS.get(match["unit"].lower()) if (match := _joint_unit_suffix(name)) else None for name in names}
     if len(endings) == 1 and (known := endings.pop()) is not None:
-        return Unit(known, True, _turn(known, values), f"as the names of the joints declare ({names[0]})")
-    return _guessed(values)
+        return Unit(known, True, _turn_of_unit(known, values), f"as the names of the joints declare ({names[0]})")
+    return _guess_unit(values)
 
 
-def _last(name: str) -> "re.Match[str] | None":
+def _joint_unit_suffix(name: str) -> "re.Match[str] | None":
     """The unit at the end of a joint's name: elbow_deg, elbow (rad)."""
     found = list(_ENDING.finditer(name))
     return found[-1] if found and found[-1].end() == len(name) else None
 
 
-def _guessed(values: Array) -> Unit:
+def _guess_unit(values: Array) -> Unit:
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     seen = f"the values, {low:.4g} to {high:.4g}, look like it"
     if max(abs(low), abs(high)) <= _ROUND * 2 * math.pi:
         return Unit("rad", False, 2 * math.pi, seen)
     if low >= 0 and high > 360 and (known == np.round(known)).all():
-        return Unit("counts", False, _turn("counts", values), f"whole numbers from {low:g} to {high:g}")
+        return Unit("counts", False, _turn_of_unit("counts", values), f"whole numbers from {low:g} to {high:g}")
     return Unit("unknown", False, None, f"values from {low:.4g} to {high:.4g} are not angles in rad")
 
 
-def _turn(name: str, values: Array) -> float | None:
+def _turn_of_unit(name: str, values: Array) -> float | None:
     """One turn: for counts, only if the values fit a 12-bit encoder."""
     if name != "counts":
         return 2 * math.pi if name == "rad" else 360.0

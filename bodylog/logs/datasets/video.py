@@ -38,19 +38,19 @@ class Video:
         return self.pts * self.base
 
 
-def survey(path: Path, limits: Input) -> Video:
+def survey_video(path: Path, limits: Input) -> Video:
     """Size, codec and frame times of a video, read from the packets' headers without decoding.
 
     LogError for a file that is not a video, or whose images are too large or too many.
     """
     mpx = limits.max_image_mpx
     check_samples(path, limits)
-    with _opened(path) as (container, stream):
+    with _open_video_stream(path) as (container, stream):
         width, height = stream.codec_context.width, stream.codec_context.height
         if not 0 < width * height <= mpx * 1e6:
             raise LogError(f"{path}: images of {width} x {height}; set [input] max_image_mpx to read larger ones")
         shown = array("q")
-        with suppress(*_damage(path)):  # a truncated file has fewer packets
+        with suppress(*_ffmpeg_damage_errors(path)):  # a truncated file has fewer packets
             for packet in container.demux(stream):
                 if packet.size and (at := packet.dts if packet.pts is None else packet.pts) is not None:
                     shown.append(at)
@@ -61,7 +61,7 @@ def survey(path: Path, limits: Input) -> Video:
         return Video(path, pts, float(stream.time_base or 0), width, height, stream.codec_context.name)
 
 
-def images(
+def iterate_video_images(
     video: Video, first: int = 0, last: int | None = None, grey: bool = False
 ) -> Iterator[tuple[int, Array | None]]:
     """Frames `first` to before `last` by number, each with its image (H,W,3) uint8 BGR; None if it
@@ -70,7 +70,7 @@ def images(
     `grey`: images (H,W) uint8 of their luminance.
     """
     due, last = first, len(video.pts) if last is None else last
-    for number, image in _decoded(video, first, _luminance if grey else _bgr):
+    for number, image in _decode_frames(video, first, _frame_luminance if grey else _frame_to_bgr):
         if number >= last:
             break
         if number < due:
@@ -81,17 +81,17 @@ def images(
     yield from ((missing, None) for missing in range(due, last))
 
 
-def _bgr(frame: Any) -> Array:
+def _frame_to_bgr(frame: Any) -> Array:
     return np.asarray(frame.to_ndarray(format="bgr24"))
 
 
-def _luminance(frame: Any) -> Array:
+def _frame_luminance(frame: Any) -> Array:
     """A frame's luminance (H,W) uint8 from 0 to 255; planes of 8 bits are taken as they are,
     without conversion."""
     import cv2
 
     if not _PLANAR.fullmatch(frame.format.name):
-        return np.asarray(cv2.cvtColor(_bgr(frame), cv2.COLOR_BGR2GRAY))
+        return np.asarray(cv2.cvtColor(_frame_to_bgr(frame), cv2.COLOR_BGR2GRAY))
     plane = frame.planes[0]
     rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
     luminance = rows[: frame.height, : frame.width]
@@ -106,7 +106,7 @@ _EXPANDED = np.clip(np.rint((np.arange(256) - 16) * 255.0 / 219.0), 0, 255).asty
 """Luminance from 0 to 255 by that from 16 to 235 (ITU-R BT.601)."""
 
 
-def _decoded(
+def _decode_frames(
     video: Video, first: int, convert: Callable[[Any], Array]
 ) -> Iterator[tuple[int, Array]]:
     """Frames with their numbers, from a key frame at or before `first` on; none where data are
@@ -114,7 +114,7 @@ def _decoded(
     known = {pts: number for number, pts in reversed(list(enumerate(video.pts.tolist())))}
     if not known:
         return
-    with _opened(video.path) as (container, stream), suppress(*_damage(video.path)):
+    with _open_video_stream(video.path) as (container, stream), suppress(*_ffmpeg_damage_errors(video.path)):
         stream.codec_context.options = {"max_pixels": str(max(video.width * video.height, _LEAST_PIXELS))}
         if first:
             container.seek(int(video.pts[first]), stream=stream, backward=True)
@@ -128,25 +128,25 @@ def _decoded(
 def _sound_frames(container: Any, stream: Any, path: Path) -> Iterator[Any]:
     """What a decoder makes of each packet; nothing of one that it rejects."""
     for packet in container.demux(stream):
-        with suppress(*_damage(path)):
+        with suppress(*_ffmpeg_damage_errors(path)):
             yield from packet.decode()
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+def _open_video_stream(path: Path) -> Iterator[tuple[Any, Any]]:
     """The container and its first video stream; LogError without one.
 
     The file's first bytes select the format, so that FFmpeg reads no text as a list of other files or URLs.
     """
     av = require_module("av", path)
     with path.open("rb") as file:
-        form = _form(file.read(12))
+        form = _video_container_form(file.read(12))
     if form is None:
         raise LogError(f"{path}: no video: its first bytes are those of no MP4, Matroska or AVI")
     try:
         container = av.open(str(path), format=form, options={"protocol_whitelist": "file"})
-    except _damage(path) as problem:
-        raise LogError(f"{path}: the video cannot be opened, it may be cut: {_line(problem)}") from None
+    except _ffmpeg_damage_errors(path) as problem:
+        raise LogError(f"{path}: the video cannot be opened, it may be cut: {_error_line(problem)}") from None
     with container:
         if not container.streams.video:
             raise LogError(f"{path}: the file holds no video")
@@ -157,10 +157,10 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
 
 def is_video(first: bytes) -> bool:
     """Whether a file that begins with these bytes is a readable video."""
-    return _form(first) is not None
+    return _video_container_form(first) is not None
 
 
-def _form(first: bytes) -> str | None:
+def _video_container_form(first: bytes) -> str | None:
     if first[4:8] in (b"ftyp", b"moov", b"mdat", b"free", b"wide", b"skip"):
         return "mp4"
     if first[:4] == b"\x1aE\xdf\xa3":
@@ -168,10 +168,10 @@ def _form(first: bytes) -> str | None:
     return "avi" if first[:4] == b"RIFF" and first[8:12] == b"AVI " else None
 
 
-def _damage(path: Path) -> tuple[type[Exception], ...]:
+def _ffmpeg_damage_errors(path: Path) -> tuple[type[Exception], ...]:
     """Exceptions of FFmpeg's binding for damaged files."""
     return (require_module("av", path).error.FFmpegError, ValueError, EOFError)
 
 
-def _line(problem: BaseException) -> str:
+def _error_line(problem: BaseException) -> str:
     return " ".join(str(problem).split())[:160]

@@ -8,7 +8,7 @@ import numpy as np
 from ...errors import FormatError
 from ..records import Array, Batch, Topic
 from .message_path import Step
-from .object_places import shaped
+from .object_places import shape_values
 from .protobuf import root_of
 from .protobuf_layouts import ProtobufLayout
 
@@ -69,16 +69,16 @@ class JsonBatchDecoder:
 
 def _column_of(values: list[Any], steps: Sequence[Step], single: int | None) -> Array | tuple[str, ...] | None:
     """The numbers (n,) or (n,K) or equal texts at the end of the steps; None where values must be read one by one."""
-    from .object_values import follow
+    from .object_values import follow_steps
 
     try:
         for step in steps:
             if not isinstance(step, str):
-                values = [list(follow(value, (step,))) for value in values]
+                values = [list(follow_steps(value, (step,))) for value in values]
             else:
                 values = [value[step] for value in values]
         if isinstance(values[0], dict):
-            values = [next(follow(value, ())) for value in values]
+            values = [next(follow_steps(value, ())) for value in values]
     except _UNLIKE:
         return None
     texts = values[0] if isinstance(values[0], list) else [values[0]]
@@ -90,7 +90,7 @@ def _column_of(values: list[Any], steps: Sequence[Step], single: int | None) -> 
         return None
     if found.dtype not in (np.float64, np.int64) or found.ndim > 2:
         return None
-    return shaped(found.reshape(len(found), -1), single)
+    return shape_values(found.reshape(len(found), -1), single)
 
 
 class ProtobufBatchDecoder:
@@ -131,9 +131,9 @@ class ProtobufBatchDecoder:
         payload = batch.data[start : start + int(batch.length[index])].tobytes()
         self._count += 1
         try:
-            from .object_values import follow
+            from .object_values import follow_steps
 
-            layout = ProtobufLayout(payload, self._types, self._root, self._paths, follow)
+            layout = ProtobufLayout(payload, self._types, self._root, self._paths, follow_steps)
         except _UNLIKE:
             return None
         self._known.setdefault(layout.width, []).append(layout)

@@ -27,14 +27,14 @@ def convert_same_layout(
     convert(memoryview(first))
     settled = np.zeros(len(first), bool)
     try:
-        _walk(store, kind, first, 0, settled)
+        _mark_message(store, kind, first, 0, settled)
     except KeyError as problem:
         raise FormatError(f"{kind} has a field of type {problem}") from None
     if len(first) > _LONGEST:
         raise FormatError(f"{len(first)} bytes where at most {_LONGEST} are possible")
     same = (rows[:, settled] == rows[0, settled]).all(1)
     place = np.arange(len(first))
-    probes = [_converted(rows[0], settled, digit, convert) for digit in (place & 255, ~place & 255, place >> 8)]
+    probes = [_convert_pattern_message(rows[0], settled, digit, convert) for digit in (place & 255, ~place & 255, place >> 8)]
     moved = probes[0] != probes[1]
     out = np.tile(probes[0], (int(same.sum()), 1))
     source = probes[0][moved].astype(np.int64) + 256 * probes[2][moved].astype(np.int64)
@@ -42,24 +42,24 @@ def convert_same_layout(
     return same, out
 
 
-def _converted(row: Array, settled: Array, digit: Array, convert: Callable[[memoryview], memoryview]) -> Array:
+def _convert_pattern_message(row: Array, settled: Array, digit: Array, convert: Callable[[memoryview], memoryview]) -> Array:
     """The CDR of a message in which every byte that may vary holds a digit of its own position."""
     probe = np.where(settled, row, digit.astype(np.uint8))
     return np.frombuffer(convert(memoryview(probe.tobytes())), np.uint8)
 
 
-def _walk(store: Any, kind: str, raw: bytes, at: int, settled: Array) -> int:
+def _mark_message(store: Any, kind: str, raw: bytes, at: int, settled: Array) -> int:
     """Mark the lengths and texts of the message of type `kind` at byte `at`; returns where it ends."""
     at += 4 * (kind == _HEADER)
     for _, desc in store.fielddefs[kind][1]:
-        at = _field(store, desc, raw, at, settled)
+        at = _mark_field(store, desc, raw, at, settled)
     return at
 
 
-def _field(store: Any, desc: Any, raw: bytes, at: int, settled: Array) -> int:
+def _mark_field(store: Any, desc: Any, raw: bytes, at: int, settled: Array) -> int:
     form, rest = desc
     if form == _NAMED:
-        return _walk(store, rest, raw, at, settled)
+        return _mark_message(store, rest, raw, at, settled)
     if form == _BASE:
         if rest[0] != "string":
             return at + _SIZES[rest[0]]
@@ -74,5 +74,5 @@ def _field(store: Any, desc: Any, raw: bytes, at: int, settled: Array) -> int:
     if inner[0] == _BASE and inner[1][0] != "string":
         return at + count * _SIZES[inner[1][0]]
     for _ in range(count):
-        at = _field(store, inner, raw, at, settled)
+        at = _mark_field(store, inner, raw, at, settled)
     return at

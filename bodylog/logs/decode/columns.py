@@ -10,12 +10,12 @@ import numpy as np
 from ...errors import FormatError
 from ..records import Array, Batch, Topic
 from .cursor import CDR_KINDS, Payload
-from .definitions import Definition, parse
-from .gather import Template, agrees, gather, template, values
-from .layout import Layout, leaf_field, locate_fields, rest, widened
+from .definitions import Definition, parse_definition
+from .gather import Template, match_template, gather_rows, make_template, read_leaf_values
+from .layout import MessageLayout, leaf_field, locate_fields, count_unread_bytes, fit_wstring_size
 from .message_path import Step
-from .message_path import steps as read_steps
-from .parts import Columns, joined
+from .message_path import parse_steps as read_steps
+from .parts import TopicColumns, join_parts
 
 _MOST_LAYOUTS = 8
 _OBJECTS = ("json", "protobuf")
@@ -28,14 +28,14 @@ class Source(Protocol):
         """Undecoded messages in file order."""
 
 
-def columns(log: Source, topic: Topic, fields: Sequence[str]) -> Columns:
+def read_topic_columns(log: Source, topic: Topic, fields: Sequence[str]) -> TopicColumns:
     """The fields (message paths without the topic) of one topic; ConfigError for a missing field."""
     return columns_of(log, {topic.id: (topic, fields)})[topic.id]
 
 
-def columns_of(log: Source, wants: Mapping[int, tuple[Topic, Sequence[str]]]) -> dict[int, Columns]:
+def columns_of(log: Source, wants: Mapping[int, tuple[Topic, Sequence[str]]]) -> dict[int, TopicColumns]:
     """Columns of several topics in one pass over the log, by topic id."""
-    decoders = {id_: decoder(topic, fields) for id_, (topic, fields) in wants.items()}
+    decoders = {id_: choose_column_decoder(topic, fields) for id_, (topic, fields) in wants.items()}
     for batch in log.batches(tuple(wants)) if wants else ():
         decoders[batch.topic_id].feed(batch)
     return {id_: found.columns() for id_, found in decoders.items()}
@@ -47,11 +47,11 @@ class Decoder(Protocol):
     def feed(self, batch: Batch) -> None:
         """Decode one more batch."""
 
-    def columns(self) -> Columns:
+    def columns(self) -> TopicColumns:
         """The columns of all batches so far."""
 
 
-def decoder(topic: Topic, fields: Sequence[str]) -> Decoder:
+def choose_column_decoder(topic: Topic, fields: Sequence[str]) -> Decoder:
     """The decoder for a topic's encoding; FormatError or ConfigError when its definition cannot give the fields."""
     paths = tuple(read_steps(text) for text in fields)
     if topic.encoding in _OBJECTS:
@@ -72,7 +72,7 @@ def definition_of(topic: Topic) -> Definition:
         known = "ros2msg, ros1msg, ros2idl, jsonschema, protobuf"
         raise FormatError(f"{topic.name}: the definition is {topic.definition_encoding!r}; known are {known}")
     try:
-        return parse(topic.definition, topic.type, topic.definition_encoding or "ros2msg")
+        return parse_definition(topic.definition, topic.type, topic.definition_encoding or "ros2msg")
     except FormatError as error:
         raise FormatError(f"{topic.name}: {error}") from None
 
@@ -91,7 +91,7 @@ def is_ros1_payload(definition: Definition, payload: Payload) -> bool:
 
 def _left_over(definition: Definition, payload: Payload, ros1: bool) -> int | None:
     try:
-        return rest(definition, payload, ros1)
+        return count_unread_bytes(definition, payload, ros1)
     except FormatError:
         return None
 
@@ -113,7 +113,7 @@ class _Decoder:
     def feed(self, batch: Batch) -> None:
         """Decode one more batch: known layouts first, then new ones, then message by message."""
         if not self.seen and len(batch.log_ns) and not self.declared:
-            self.ros1 = is_ros1_payload(self.definition, _payload(batch, 0))
+            self.ros1 = is_ros1_payload(self.definition, _payload_at(batch, 0))
         self.log_ns.append(np.array(batch.log_ns, np.int64))
         left = np.arange(len(batch.log_ns))
         for known in self.known:
@@ -125,25 +125,25 @@ class _Decoder:
         self.seen += len(batch.log_ns)
 
     def _learn(self, batch: Batch, left: Array) -> Array:
-        payload = _payload(batch, int(left[0]))
+        payload = _payload_at(batch, int(left[0]))
         layout = self._walk(payload)
         if layout is None:
             return left[1:]
-        self.known.append(template(layout, payload))
+        self.known.append(make_template(layout, payload))
         return self._take(batch, left, self.known[-1])
 
     def _one(self, batch: Batch, index: int) -> None:
-        payload = _payload(batch, index)
+        payload = _payload_at(batch, index)
         layout = self._walk(payload)
         if layout is not None:
             row = np.frombuffer(payload, np.uint8, layout.width)[None]
             self._keep(np.array([index]), row, layout)
             self.fallback += 1
 
-    def _walk(self, payload: bytes) -> Layout | None:
+    def _walk(self, payload: bytes) -> MessageLayout | None:
         with suppress(FormatError):
             return locate_fields(self.definition, payload, self.paths, self.ros1)
-        for sized in (fits := widened(self.definition, payload, self.ros1)):
+        for sized in (fits := fit_wstring_size(self.definition, payload, self.ros1)):
             self.definition = sized if len(fits) == 1 else self.definition
             return locate_fields(sized, payload, self.paths, self.ros1)
         self.rejected["malformed"] += 1
@@ -152,8 +152,8 @@ class _Decoder:
     def _take(self, batch: Batch, left: Array, known: Template) -> Array:
         """Decode the messages of `left` with the layout `known`; returns the others."""
         long = left[batch.length[left] >= known.layout.width]
-        rows = gather(batch.data, batch.offset[long], 8 * known.words)
-        same = agrees(rows, known)
+        rows = gather_rows(batch.data, batch.offset[long], 8 * known.words)
+        same = match_template(rows, known)
         if not same.all():
             long, rows = long[same], rows[same]
         if len(long):
@@ -161,18 +161,18 @@ class _Decoder:
             self.fast += len(long)
         return left[:0] if len(long) == len(left) else np.setdiff1d(left, long, assume_unique=True)
 
-    def _keep(self, index: Array, rows: Array, layout: Layout) -> None:
-        found = [values(rows, leaf) for leaf in layout.leaves]
+    def _keep(self, index: Array, rows: Array, layout: MessageLayout) -> None:
+        found = [read_leaf_values(rows, leaf) for leaf in layout.leaves]
         shape = tuple(v if isinstance(v, tuple) else v.shape[1:] for v in found)
         self.pieces.setdefault(shape, []).append((index + self.seen, found))
 
-    def columns(self) -> Columns:
+    def columns(self) -> TopicColumns:
         """The columns of all batches so far."""
         log_ns = np.concatenate(self.log_ns) if self.log_ns else np.empty(0, np.int64)
-        parts = tuple(joined(pieces) for pieces in self.pieces.values())
-        return Columns(self.fields, log_ns, parts, self.fast, self.fallback, dict(self.rejected))
+        parts = tuple(join_parts(pieces) for pieces in self.pieces.values())
+        return TopicColumns(self.fields, log_ns, parts, self.fast, self.fallback, dict(self.rejected))
 
 
-def _payload(batch: Batch, index: int) -> bytes:
+def _payload_at(batch: Batch, index: int) -> bytes:
     start = int(batch.offset[index])
     return batch.data[start : start + int(batch.length[index])].tobytes()

@@ -21,7 +21,7 @@ _RANGE_ALL = IndexRange(0, -1)
 Wanted = Sequence[tuple[int, tuple[Step, ...]]]
 
 
-class Leaf(NamedTuple):
+class FieldLeaf(NamedTuple):
     """One requested field: byte offsets (K,), element dtype · texts, if text · single: neither array nor slice."""
 
     offsets: Array
@@ -80,7 +80,7 @@ class CdrCursor:
             self._align(size)
             self._need(count * size, f"{count} {type_}")
         for k, steps in wanted:
-            picked = _range(steps, count)
+            picked = _slice_range(steps, count)
             missing = not picked and bool(steps) and is_index(steps[0])
             self.runs[k].append((-1, 1, size) if missing else (self.pos + picked.start * size, len(picked), size))
         self.pos += count * size
@@ -119,7 +119,7 @@ class CdrCursor:
         if not wanted and self._is_fixed(type_):
             self._skip(type_, count)
             return
-        picks = [(k, _range(steps, count), steps[1:]) for k, steps in wanted]
+        picks = [(k, _slice_range(steps, count), steps[1:]) for k, steps in wanted]
         last = max((picked[-1] for _, picked, _ in picks if picked), default=-1) if final else count - 1
         for index in range(last + 1):
             inner = tuple((k, steps) for k, picked, steps in picks if index in picked)
@@ -199,13 +199,13 @@ class CdrCursor:
             return np.dtype([("sec", order + seconds), ("nanosec", order + "u4")])
         return np.dtype("V0") if type_ in TEXTS else np.dtype(order + PRIMITIVES[type_])
 
-    def leaf(self, k: int, end: tuple[Field, bool]) -> Leaf:
+    def leaf(self, k: int, end: tuple[Field, bool]) -> FieldLeaf:
         """The recorded positions of the k-th requested path."""
         field, single = end
         start, count, stride = np.array(self.runs[k], np.int64).reshape(-1, 3).T
         number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         offsets = np.repeat(start, count) + np.repeat(stride, count) * number
-        return Leaf(offsets, self._dtype(field.type), tuple(self.texts[k]) if field.type in TEXTS else None, single)
+        return FieldLeaf(offsets, self._dtype(field.type), tuple(self.texts[k]) if field.type in TEXTS else None, single)
 
     def single(self, k: int, end: tuple[Field, bool]) -> str | int | float | memoryview:
         """The value of the k-th requested path, as one value."""
@@ -225,6 +225,6 @@ def _cdr_kind(root: str, payload: Payload) -> tuple[bool, int]:
     return CDR_KINDS[kind]
 
 
-def _range(steps: tuple[Step, ...], count: int) -> range:
+def _slice_range(steps: tuple[Step, ...], count: int) -> range:
     step = steps[0] if steps else _RANGE_ALL
     return step.of(count) if isinstance(step, IndexRange) else range(count)

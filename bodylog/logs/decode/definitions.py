@@ -53,18 +53,18 @@ class Definition(NamedTuple):
 
 
 @lru_cache(maxsize=256)
-def parse(text: bytes, root: str, encoding: str) -> Definition:
+def parse_definition(text: bytes, root: str, encoding: str) -> Definition:
     """Parse the definition of `root` from `text`; FormatError for a line or type that cannot be parsed."""
     if len(text) > _LONGEST:
         raise FormatError(f"{root}: a definition of {len(text)} bytes; at most {_LONGEST} are read")
     ros1 = encoding == "ros1msg"
-    sections = _idl_sections(text, root) if encoding == "ros2idl" else _sections(text, root, ros1)
+    sections = _idl_sections(text, root) if encoding == "ros2idl" else _split_sections(text, root, ros1)
     types: dict[str, tuple[Field, ...]] = {}
-    _complete(root, sections, types, (), ros1)
+    _add_missing_types(root, sections, types, (), ros1)
     return Definition(root, types)
 
 
-def normal(name: str, package: str = "") -> str:
+def normalise_type_name(name: str, package: str = "") -> str:
     """package/msg/Name of a type written package/Name, package/msg/Name, Name or Header."""
     parts = name.split("/")
     if len(parts) == 1:
@@ -73,21 +73,21 @@ def normal(name: str, package: str = "") -> str:
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else name
 
 
-def _sections(text: bytes, root: str, ros1: bool) -> dict[str, tuple[Field, ...]]:
+def _split_sections(text: bytes, root: str, ros1: bool) -> dict[str, tuple[Field, ...]]:
     try:
         pieces = _SEPARATOR.split(text.decode())
     except UnicodeDecodeError as error:
         raise FormatError(f"{root}: the definition is not text: {error.reason} at byte {error.start}") from None
     headings = [_HEADING.match(piece) for piece in pieces[1:]]
-    found = {normal(h[1]): piece[h.end() :] for h, piece in zip(headings, pieces[1:], strict=True) if h}
+    found = {normalise_type_name(h[1]): piece[h.end() :] for h, piece in zip(headings, pieces[1:], strict=True) if h}
     known = frozenset({root, *found})
-    sections = {name: tuple(_fields(body, name, known, ros1)) for name, body in found.items()}
+    sections = {name: tuple(_parse_fields(body, name, known, ros1)) for name, body in found.items()}
     if pieces[0].strip() or found:
-        sections[root] = tuple(_fields(pieces[0], root, known, ros1))
+        sections[root] = tuple(_parse_fields(pieces[0], root, known, ros1))
     return sections
 
 
-def _fields(body: str, owner: str, known: frozenset[str], ros1: bool) -> Iterator[Field]:
+def _parse_fields(body: str, owner: str, known: frozenset[str], ros1: bool) -> Iterator[Field]:
     package = owner.split("/")[0]
     empty = True
     for line in body.splitlines():
@@ -100,24 +100,24 @@ def _fields(body: str, owner: str, known: frozenset[str], ros1: bool) -> Iterato
         if match["rest"].startswith("="):
             continue
         empty = False
-        yield Field(match["name"], _type(match["type"], package, known, ros1), _size(match["array"], owner, line))
+        yield Field(match["name"], _resolve_type(match["type"], package, known, ros1), _parse_array_size(match["array"], owner, line))
     if empty and not ros1:
         yield Field(_DUMMY, "uint8", None)
 
 
-def _type(name: str, package: str, known: frozenset[str], ros1: bool) -> str:
+def _resolve_type(name: str, package: str, known: frozenset[str], ros1: bool) -> str:
     if name in PRIMITIVES:
         return "int8" if ros1 and name == "byte" else name
     if name in TEXTS or name in ("time", "duration"):
         return name
-    full = normal(name, package)
+    full = normalise_type_name(name, package)
     if full in known or "/" in name:
         return full
     namesakes = [other for other in known if other.rsplit("/", 1)[-1] == name]
     return namesakes[0] if len(namesakes) == 1 else full
 
 
-def _size(array: str | None, owner: str, line: str) -> int | None:
+def _parse_array_size(array: str | None, owner: str, line: str) -> int | None:
     if array is None:
         return None
     inside = array[1:-1]
@@ -128,7 +128,7 @@ def _size(array: str | None, owner: str, line: str) -> int | None:
     return int(inside)
 
 
-def _complete(
+def _add_missing_types(
     name: str, sections: Mapping[str, tuple[Field, ...]], types: dict[str, tuple[Field, ...]],
     above: tuple[str, ...], ros1: bool,
 ) -> None:  # fmt: skip
@@ -138,18 +138,18 @@ def _complete(
         return
     if len(types) > _MOST_TYPES:
         raise FormatError(f"{above[0]}: the definition has more than {_MOST_TYPES} types")
-    fields = sections[name] if name in sections else _standard(name, above, ros1)
+    fields = sections[name] if name in sections else _standard_type_fields(name, above, ros1)
     for field in fields:
-        _complete(field.type, sections, types, (*above, name), ros1)
+        _add_missing_types(field.type, sections, types, (*above, name), ros1)
     types[name] = fields
 
 
-def _standard(name: str, above: tuple[str, ...], ros1: bool) -> tuple[Field, ...]:
-    described = _store(ros1).get(name)
+def _standard_type_fields(name: str, above: tuple[str, ...], ros1: bool) -> tuple[Field, ...]:
+    described = _standard_typestore(ros1).get(name)
     if described is None:
         where = f"{above[0]}: " if above else ""
         raise FormatError(f"{where}the log holds no definition of {name}, and it is not a standard type")
-    fields = (_described(label, node) for label, node in described[1])
+    fields = (_field_from_rosbags(label, node) for label, node in described[1])
     return tuple(_as_ros1(field) for field in fields if field.name != _DUMMY) if ros1 else tuple(fields)
 
 
@@ -159,18 +159,18 @@ def _as_ros1(field: Field) -> Field:
 
 
 @lru_cache(maxsize=2)
-def _store(ros1: bool) -> Mapping[str, Any]:
+def _standard_typestore(ros1: bool) -> Mapping[str, Any]:
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE).fielddefs
 
 
-def _described(label: str, node: Any) -> Field:
+def _field_from_rosbags(label: str, node: Any) -> Field:
     """One field in rosbags' notation: (kind, argument), kind 1 base, 2 name, 3 array, 4 sequence."""
     kind, argument = int(node[0]), node[1]
     if kind in (3, 4):
         element, length = argument
-        return Field(label, _described(label, element).type, length if kind == 3 else -1)
+        return Field(label, _field_from_rosbags(label, element).type, length if kind == 3 else -1)
     return Field(label, argument[0] if kind == 1 else argument, None)
 
 
@@ -190,7 +190,7 @@ def _idl_sections(text: bytes, root: str) -> dict[str, tuple[Field, ...]]:
         except Exception as error:
             raise FormatError(f"{root}: cannot read the IDL definition: {str(error).splitlines()[0][:80]}") from None
         for name, (_, fields) in found.items():
-            sections[name] = tuple(_described(label, node) for label, node in fields)
+            sections[name] = tuple(_field_from_rosbags(label, node) for label, node in fields)
     return sections
 
 

@@ -10,21 +10,21 @@ from ...errors import FormatError
 from ...io.values import read_json
 from ..records import Array, Batch, Topic
 from .message_path import Step
-from .object_places import number_of, shaped
-from .object_values import Value, follow
-from .parts import Columns, Part, joined
+from .object_places import number_of, shape_values
+from .object_values import Value, follow_steps
+from .parts import TopicColumns, ColumnPart, join_parts
 
 
-def reader(topic: Topic) -> Callable[[bytes], Mapping[str, Any]]:
+def make_dynamic_reader(topic: Topic) -> Callable[[bytes], Mapping[str, Any]]:
     """A function from payload to dictionary; FormatError for a broken schema, or later for a broken payload."""
     if topic.encoding == "json":
-        return lambda payload: _json(topic.name, payload)
+        return lambda payload: _parse_json_payload(topic.name, payload)
     from .protobuf import message_reader
 
     return message_reader(topic)
 
 
-def _json(name: str, payload: bytes) -> Mapping[str, Any]:
+def _parse_json_payload(name: str, payload: bytes) -> Mapping[str, Any]:
     try:
         value = read_json(payload)
     except ValueError as error:
@@ -48,7 +48,7 @@ class ObjectDecoder:
         self.seen = 0
         self.fast = 0
         self.rejected: Counter[str] = Counter()
-        self.read = reader(topic)
+        self.read = make_dynamic_reader(topic)
         from .batch_decoders import JsonBatchDecoder, ProtobufBatchDecoder
 
         self.together: JsonBatchDecoder | ProtobufBatchDecoder = (
@@ -74,7 +74,7 @@ class ObjectDecoder:
     def _one(self, row: int, payload: bytes) -> None:
         try:
             message = self.read(payload)
-            values = [tuple(follow(message, steps)) for steps in self.paths]
+            values = [tuple(follow_steps(message, steps)) for steps in self.paths]
         except (FormatError, RecursionError):
             self.rejected["malformed"] += 1
         except (KeyError, ValueError, TypeError):
@@ -83,20 +83,20 @@ class ObjectDecoder:
             shape = tuple(v if any(isinstance(x, str | bytes) for x in v) else len(v) for v in values)
             self.rows.setdefault(shape, []).append((row, values))
 
-    def columns(self) -> Columns:
+    def columns(self) -> TopicColumns:
         """The columns of all batches so far."""
         log_ns = np.concatenate(self.log_ns) if self.log_ns else np.empty(0, np.int64)
         parts = tuple(self._part(shape, rows) for shape, rows in self.rows.items())
         slow = sum(len(part.rows) for part in parts)
-        parts += tuple(joined(pieces) for pieces in self.pieces.values())
-        return Columns(self.fields, log_ns, parts, self.fast, slow, dict(self.rejected))
+        parts += tuple(join_parts(pieces) for pieces in self.pieces.values())
+        return TopicColumns(self.fields, log_ns, parts, self.fast, slow, dict(self.rejected))
 
-    def _part(self, shape: Any, rows: list[tuple[int, list[tuple[Value, ...]]]]) -> Part:
+    def _part(self, shape: Any, rows: list[tuple[int, list[tuple[Value, ...]]]]) -> ColumnPart:
         values: list[Array | tuple[str, ...]] = []
         for k, key in enumerate(shape):
             if isinstance(key, tuple):
                 values.append(tuple(str(x) for x in key))
                 continue
             array = np.array([v[k] for _, v in rows]).reshape(len(rows), key)
-            values.append(shaped(array, self.single[k]))
-        return Part(np.array([row for row, _ in rows]), tuple(values))
+            values.append(shape_values(array, self.single[k]))
+        return ColumnPart(np.array([row for row, _ in rows]), tuple(values))

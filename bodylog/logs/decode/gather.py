@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..records import Array
-from .cursor import Leaf
-from .layout import Layout
+from .cursor import FieldLeaf
+from .layout import MessageLayout
 
 _BLOCK = 512
 _BYTES = 1 << 20
@@ -20,14 +20,14 @@ class Template(NamedTuple):
     mask, reference (block · words,): which bits are constant, and their values.
     """
 
-    layout: Layout
+    layout: MessageLayout
     words: int
     block: int
     mask: Array
     reference: Array
 
 
-def template(layout: Layout, payload: bytes, high: Sequence[tuple[int, int]] = ()) -> Template:
+def make_template(layout: MessageLayout, payload: bytes, high: Sequence[tuple[int, int]] = ()) -> Template:
     """The template of the message with this layout; in the byte ranges `high` only the highest bit is fixed."""
     words = -(-layout.width // 8)
     mask, reference = np.zeros((2, 8 * words), np.uint8)
@@ -41,7 +41,7 @@ def template(layout: Layout, payload: bytes, high: Sequence[tuple[int, int]] = (
     return Template(layout, words, block, *(np.tile(row.view(np.uint64), block) for row in (mask, reference)))
 
 
-def agrees(rows: Array, known: Template) -> Array:
+def match_template(rows: Array, known: Template) -> Array:
     """True (n,) for the rows whose constant bytes equal the template's."""
     words, same = rows.view(np.uint64).reshape(-1), np.ones(len(rows), bool)
     # Block by block: a temporary as large as all rows would cost more in page faults than the comparison.
@@ -53,7 +53,7 @@ def agrees(rows: Array, known: Template) -> Array:
     return same
 
 
-def gather(data: Array, offset: Array, width: int) -> Array:
+def gather_rows(data: Array, offset: Array, width: int) -> Array:
     """Rows (n,width) of bytes from the offsets; bytes past the end of `data` are 0."""
     if not len(offset) or not width:
         return np.empty((len(offset), width), np.uint8)
@@ -62,26 +62,26 @@ def gather(data: Array, offset: Array, width: int) -> Array:
         near = offset > len(data) - width
         tail = np.concatenate([data[int(offset[near].min()) :], np.zeros(over, np.uint8)])
         rows = np.empty((len(offset), width), np.uint8)
-        rows[near] = gather(tail, offset[near] - offset[near].min(), width)
-        rows[~near] = gather(data, offset[~near], width)
+        rows[near] = gather_rows(tail, offset[near] - offset[near].min(), width)
+        rows[~near] = gather_rows(data, offset[~near], width)
         return rows
     windows = np.ndarray((len(data) - width + 1,), f"V{width}", data, 0, (1,))
     return windows[offset].view(np.uint8).reshape(len(offset), width)
 
 
-def values(rows: Array, leaf: Leaf) -> Array | tuple[str, ...]:
+def read_leaf_values(rows: Array, leaf: FieldLeaf) -> Array | tuple[str, ...]:
     """A leaf's values (m,) or (m,K) in native byte order, times in ns, missing ones NaN; or its texts."""
     if leaf.texts is not None:
         return leaf.texts
     if leaf.single and not len(leaf.offsets):
         return np.full(len(rows), np.nan)
-    values = _native(_strided(rows, leaf.offsets, leaf.dtype))
+    values = _to_native_order(_strided_elements(rows, leaf.offsets, leaf.dtype))
     if (leaf.offsets < 0).any():
         values = np.where(leaf.offsets < 0, np.nan, values)
     return values[:, 0] if leaf.single else values
 
 
-def _strided(rows: Array, offsets: Array, dtype: np.dtype[Any]) -> Array:
+def _strided_elements(rows: Array, offsets: Array, dtype: np.dtype[Any]) -> Array:
     count, width = rows.shape
     steps = np.diff(offsets)
     if not len(offsets):
@@ -93,7 +93,7 @@ def _strided(rows: Array, offsets: Array, dtype: np.dtype[Any]) -> Array:
     return np.stack(single, axis=1)
 
 
-def _native(values: Array) -> Array:
+def _to_native_order(values: Array) -> Array:
     if values.dtype.names:
         return values["sec"].astype(np.int64) * 1_000_000_000 + values["nanosec"].astype(np.int64)
     return np.array(values, values.dtype.newbyteorder("="), order="C")

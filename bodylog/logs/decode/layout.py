@@ -6,19 +6,19 @@ from copy import copy
 from typing import NamedTuple
 
 from ...errors import ConfigError, FormatError
-from .cursor import CdrCursor, Leaf, Payload
+from .cursor import CdrCursor, FieldLeaf, Payload
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field
 from .message_path import Only, Step, is_index
 
 _PADDING = 4
 
 
-class Layout(NamedTuple):
+class MessageLayout(NamedTuple):
     """One layout: bytes examined, the (start, stop) byte ranges that define it, the requested leaves."""
 
     width: int
     constants: tuple[tuple[int, int], ...]
-    leaves: tuple[Leaf, ...]
+    leaves: tuple[FieldLeaf, ...]
 
 
 def leaf_field(definition: Definition, steps: tuple[Step, ...]) -> tuple[Field, bool]:
@@ -26,9 +26,9 @@ def leaf_field(definition: Definition, steps: tuple[Step, ...]) -> tuple[Field, 
     field, single = Field("", definition.root, None), True
     for step in steps:
         if isinstance(step, str):
-            field = _member(definition, field, step)
+            field = _find_member(definition, field, step)
         elif isinstance(step, Only):
-            _filter(definition, field, step)
+            _parse_element_filter(definition, field, step)
             single = False
         elif field.size is None:
             raise ConfigError(
@@ -43,23 +43,23 @@ def leaf_field(definition: Definition, steps: tuple[Step, ...]) -> tuple[Field, 
     return field, single and field.size is None
 
 
-def _member(definition: Definition, field: Field, name: str) -> Field:
+def _find_member(definition: Definition, field: Field, name: str) -> Field:
     if field.size is not None:
         raise ConfigError(f"{definition.root}: {field.name} is an array; write {field.name}[:].{name}")
-    members = {f.name: f for f in _fields(definition, field.type)}
+    members = {f.name: f for f in _definition_fields(definition, field.type)}
     if name not in members:
         there = ", ".join(members) or "none"
         raise ConfigError(f"{definition.root}: {field.type} has no field {name!r}; it has {there}")
     return members[name]
 
 
-def _filter(definition: Definition, field: Field, only: Only) -> None:
-    key = _member(definition, field, only.field)
+def _parse_element_filter(definition: Definition, field: Field, only: Only) -> None:
+    key = _find_member(definition, field, only.field)
     if key.size is not None or not (key.type in PRIMITIVES or key.type in TEXTS):
         raise ConfigError(f"{definition.root}: a filter compares a number or a text, and {only.field} is a {key.type}")
 
 
-def _fields(definition: Definition, type_: str) -> tuple[Field, ...]:
+def _definition_fields(definition: Definition, type_: str) -> tuple[Field, ...]:
     if type_ in TIMES:
         names = ("secs", "nsecs") if type_ in ("time", "duration") else ("sec", "nanosec")
         seconds = "uint32" if type_ == "time" else "int32"
@@ -67,22 +67,22 @@ def _fields(definition: Definition, type_: str) -> tuple[Field, ...]:
     return definition.types.get(type_, ())
 
 
-def locate_fields(definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> Layout:
+def locate_fields(definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> MessageLayout:
     """The layout of `payload` up to the last requested field; FormatError when it contradicts itself."""
     walker = CdrCursor(definition, payload, len(wanted), ros1)
     walker.struct(definition.root, tuple(enumerate(wanted)), bool(wanted))
     leaves = tuple(walker.leaf(k, leaf_field(definition, steps)) for k, steps in enumerate(wanted))
-    constants = _merged(walker.constants)
+    constants = _merge_byte_ranges(walker.constants)
     # a filter may read further than the last requested field
-    return Layout(max([walker.pos, *(stop for _, stop in constants)]), constants, leaves)
+    return MessageLayout(max([walker.pos, *(stop for _, stop in constants)]), constants, leaves)
 
 
-def rest(definition: Definition, payload: Payload, ros1: bool) -> int:
+def count_unread_bytes(definition: Definition, payload: Payload, ros1: bool) -> int:
     """Bytes left over after reading all of `payload`."""
     return len(payload) - locate_fields(definition, payload, (), ros1).width
 
 
-def widened(definition: Definition, payload: Payload, ros1: bool) -> list[Definition]:
+def fit_wstring_size(definition: Definition, payload: Payload, ros1: bool) -> list[Definition]:
     """The definition with the wstring character sizes, in bytes, for which `payload` has its declared length.
 
     Writers count characters of 2 or 4 bytes, or bytes. One definition, or all if no wstring distinguishes them.
@@ -92,7 +92,7 @@ def widened(definition: Definition, payload: Payload, ros1: bool) -> list[Defini
     for size in (1, 2, 4) if unknown else ():
         sized = definition._replace(wide=size)
         with suppress(FormatError):
-            fits.setdefault(rest(sized, payload, ros1), []).append(sized)
+            fits.setdefault(count_unread_bytes(sized, payload, ros1), []).append(sized)
     least = min(fits, default=_PADDING)
     return fits[least] if least < _PADDING and len(fits[least]) != 2 else []
 
@@ -111,7 +111,7 @@ class Picker:
 
     def __call__(self, payload: Payload) -> tuple[str | int | float | memoryview, ...]:
         """The requested fields of one message; FormatError when it contradicts itself. Thread safe."""
-        walker = _reuse(self._last, payload) if self._last else None
+        walker = _reuse_cursor(self._last, payload) if self._last else None
         if walker is None:
             walker = CdrCursor(self._definition, payload, len(self._wanted), self._ros1)
             walker.struct(self._definition.root, tuple(enumerate(self._wanted)), True)
@@ -119,7 +119,7 @@ class Picker:
         return tuple(walker.single(k, end) for k, end in enumerate(self._ends))
 
 
-def _reuse(last: CdrCursor, payload: Payload) -> CdrCursor | None:
+def _reuse_cursor(last: CdrCursor, payload: Payload) -> CdrCursor | None:
     """A cursor for a payload that differs from the last one only in the length of its final bytes, or None."""
     start, stop = last.constants[-1] if last.constants else (0, 0)
     tail = [[(stop, last.pos - stop, 1)] == runs for runs in last.runs]
@@ -134,7 +134,7 @@ def _reuse(last: CdrCursor, payload: Payload) -> CdrCursor | None:
     return walker
 
 
-def _merged(ranges: list[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+def _merge_byte_ranges(ranges: list[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
     merged: list[tuple[int, int]] = []
     for start, stop in sorted(set(ranges)):
         if merged and start <= merged[-1][1]:

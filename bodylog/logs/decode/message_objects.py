@@ -16,7 +16,7 @@ _TIMES = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces
 Decode = Callable[[bytes], Any]
 
 
-def decoder(topic: Topic) -> Decode:
+def make_object_decoder(topic: Topic) -> Decode:
     """decode(payload) -> message; FormatError for an unreadable definition or payload."""
     definition = definition_of(topic)
     known: dict[bool, Decode] = {}
@@ -24,32 +24,32 @@ def decoder(topic: Topic) -> Decode:
     def decode(payload: bytes) -> Any:
         ros1 = is_ros1(topic) or ((True in known or not known) and is_ros1_payload(definition, payload))
         if ros1 not in known:
-            known[ros1] = _ros1(topic) if ros1 else _cdr(topic, definition)
+            known[ros1] = _make_ros1_decoder(topic) if ros1 else _make_cdr_decoder(topic, definition)
         return known[ros1](payload)
 
     return decode
 
 
-def _ros1(topic: Topic) -> Decode:
-    from .ros1_to_cdr import converter
+def _make_ros1_decoder(topic: Topic) -> Decode:
+    from .ros1_to_cdr import make_cdr_converter
 
-    convert, _ = converter(topic)
-    read = _reading(topic, convert.store)
+    convert, _ = make_cdr_converter(topic)
+    read = _wrap_read_errors(topic, convert.store)
     return lambda payload: read(bytes(convert(memoryview(payload))))
 
 
-def _cdr(topic: Topic, definition: Definition) -> Decode:
+def _make_cdr_decoder(topic: Topic, definition: Definition) -> Decode:
     from rosbags.typesys import Stores, TypesysError, get_typestore
 
     store = get_typestore(Stores.EMPTY)
     try:
-        store.register(_typed(definition))
+        store.register(_rosbags_types(definition))
     except (TypesysError, *_TROUBLE) as problem:
         raise FormatError(f"{topic.name}: the definition of {topic.type} cannot be read: {problem}") from None
-    return _reading(topic, store)
+    return _wrap_read_errors(topic, store)
 
 
-def _typed(definition: Definition) -> Any:
+def _rosbags_types(definition: Definition) -> Any:
     """The definition in rosbags' notation, times included."""
     from rosbags.interfaces import Nodetype
     from rosbags.typesys import Stores, get_typestore
@@ -67,7 +67,7 @@ def _typed(definition: Definition) -> Any:
     return times | {name: ([], [(f.name, node(f)) for f in fields]) for name, fields in definition.types.items()}
 
 
-def _reading(topic: Topic, store: Any) -> Decode:
+def _wrap_read_errors(topic: Topic, store: Any) -> Decode:
     from rosbags.serde import SerdeError
 
     def read(payload: bytes) -> Any:

@@ -43,14 +43,14 @@ class Path(NamedTuple):
     steps: tuple[Step, ...]
 
 
-def parse(text: str, topics: Iterable[str] = ()) -> Path:
+def parse_message_path(text: str, topics: Iterable[str] = ()) -> Path:
     """Parse the path in `text`; a topic of `topics` at its start takes precedence over the first `.`, `[` or `{`."""
     known = [topic for topic in topics if text == topic or (text.startswith(topic) and text[len(topic)] in ".[{")]
     topic = max(known, key=len) if known else re.split(r"[.\[{]", text, maxsplit=1)[0]
-    return Path(topic, steps(text[len(topic) :], text))
+    return Path(topic, parse_steps(text[len(topic) :], text))
 
 
-def steps(text: str, whole: str | None = None) -> tuple[Step, ...]:
+def parse_steps(text: str, whole: str | None = None) -> tuple[Step, ...]:
     """The steps in `text`, e.g. `.data[:].prox[0]` (a leading dot is optional); ConfigError names the invalid part."""
     rest = f".{text}" if text and text[0] not in ".[{" else text
     found: list[Step] = []
@@ -59,7 +59,7 @@ def steps(text: str, whole: str | None = None) -> tuple[Step, ...]:
         if match is None:
             known = ".field, [0], [1:3], [:], {id==2}"
             raise ConfigError(f"message path {whole or text!r}: cannot read {rest!r}; the steps are {known}")
-        found.append(_step(match))
+        found.append(_parse_step(match))
         rest = rest[match.end() :]
     return tuple(found)
 
@@ -69,7 +69,7 @@ def is_index(step: Step) -> bool:
     return isinstance(step, IndexRange) and step.first == step.last
 
 
-def _step(match: re.Match[str]) -> Step:
+def _parse_step(match: re.Match[str]) -> Step:
     if match["name"]:
         return match["name"]
     if match["index"]:

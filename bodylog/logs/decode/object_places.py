@@ -55,7 +55,7 @@ class Text(str):
         self.pinned.append((self.at, self.end))
 
 
-def text(value: str, at: int, end: int, pinned: list[tuple[int, int]]) -> Text:
+def text_at(value: str, at: int, end: int, pinned: list[tuple[int, int]]) -> Text:
     """The text at a position."""
     found = Text(value)
     found.at, found.end, found.pinned = at, end, pinned
@@ -66,18 +66,18 @@ class Opaque:
     """Bytes, which are neither compared nor read by position."""
 
 
-class Time(NamedTuple):
+class PlacedTime(NamedTuple):
     """A stamp in two places, or constants."""
 
     seconds: Any
     nanoseconds: Any
 
 
-Item = Place | Text | Time | float | str | None
+Item = Place | Text | PlacedTime | float | str | None
 """A value by its position, or one that the layout fixes."""
 
 
-def items(value: Any) -> Iterator[Item]:
+def list_plain_items(value: Any) -> Iterator[Item]:
     """The plain values below a value; KeyError for an object, FormatError where positions do not suffice."""
     if isinstance(value, dict):
         seconds = next((value[key] for key in SECONDS if key in value), None)
@@ -86,10 +86,10 @@ def items(value: Any) -> Iterator[Item]:
         rest = next((value[key] for key in NANOSECONDS if key in value), 0)
         if not isinstance(seconds, Place | int) or not isinstance(rest, Place | int):
             raise FormatError("a time that is not made of two numbers")
-        yield Time(seconds, rest)
+        yield PlacedTime(seconds, rest)
     elif isinstance(value, list):
         for item in value:
-            yield from items(item)
+            yield from list_plain_items(item)
     elif isinstance(value, Opaque):
         raise FormatError("bytes")
     else:
@@ -109,7 +109,7 @@ def number_of(steps: Sequence[Step]) -> int | None:
     return int(any(not isinstance(step, str) for step in steps))
 
 
-def shaped(values: Array, most: int | None) -> Array:
+def shape_values(values: Array, most: int | None) -> Array:
     """Values (n,K) in the path's shape: (n,) if it gives a single one, NaN for a missing element."""
     if most is None or values.shape[1] > 1:
         return values
@@ -118,7 +118,7 @@ def shaped(values: Array, most: int | None) -> Array:
     return values[:, 0]
 
 
-def column(found: Sequence[Item], single: int | None, count: int, numbers: Numbers) -> Array | tuple[str, ...] | None:
+def read_placed_column(found: Sequence[Item], single: int | None, count: int, numbers: Numbers) -> Array | tuple[str, ...] | None:
     """One path's values in `count` messages, (n,) or (n,K), or its texts; None if they must be read one by one."""
     if any(isinstance(item, str) for item in found):
         plain = all(isinstance(item, str) for item in found)
@@ -129,19 +129,19 @@ def column(found: Sequence[Item], single: int | None, count: int, numbers: Numbe
         run = at
         while run < len(found) and isinstance(found[run], Place):
             run += 1
-        part = numbers(found[at:run]) if run > at else _other(found[at], count, numbers)  # type: ignore[arg-type]
+        part = numbers(found[at:run]) if run > at else _read_other_items(found[at], count, numbers)  # type: ignore[arg-type]
         if part is None:
             return None
         parts.append(part)
         at = max(run, at + 1)
     values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1) if parts else np.empty((count, 0))
-    return shaped(values, single)
+    return shape_values(values, single)
 
 
-def _other(item: Item, count: int, numbers: Numbers) -> Array | None:
-    if not isinstance(item, Time):
+def _read_other_items(item: Item, count: int, numbers: Numbers) -> Array | None:
+    if not isinstance(item, PlacedTime):
         return np.full((count, 1), np.nan if item is None else item)
-    seconds, rest = (_whole(part, count, numbers) for part in (item.seconds, item.nanoseconds))
+    seconds, rest = (_read_whole_numbers(part, count, numbers) for part in (item.seconds, item.nanoseconds))
     if seconds is None or rest is None or abs(rest).max(initial=0) > _MOST_REST_NS:
         return None
     near = abs(seconds) <= _LONGEST_S
@@ -149,6 +149,6 @@ def _other(item: Item, count: int, numbers: Numbers) -> Array | None:
     return np.where(abs(found) <= LATEST_NS, found, 0)[:, None]
 
 
-def _whole(part: Any, count: int, numbers: Numbers) -> Array | None:
+def _read_whole_numbers(part: Any, count: int, numbers: Numbers) -> Array | None:
     found = numbers([part]) if isinstance(part, Place) else np.full((count, 1), int(part))
     return found[:, 0] if found is not None and found.dtype == np.int64 else None

@@ -30,7 +30,7 @@ Types = Mapping[str, Mapping[int, ProtobufField]]
 def message_reader(topic: Topic) -> Callable[[bytes], Mapping[str, Any]]:
     """A function from payload to dictionary; FormatError when the descriptor set lacks the topic's type."""
     types, root = root_of(topic)
-    return lambda payload: _message(memoryview(payload), root, types, topic.name, 0)
+    return lambda payload: _decode_message(memoryview(payload), root, types, topic.name, 0)
 
 
 def field_types(topic: Topic) -> dict[str, str]:
@@ -42,7 +42,7 @@ def field_types(topic: Topic) -> dict[str, str]:
 def root_of(topic: Topic) -> tuple[Types, str]:
     """The message types of a topic's schema and the type of its messages; FormatError for an invalid schema."""
     try:
-        types = _types(topic.definition)
+        types = _read_descriptor_types(topic.definition)
     except (FormatError, UnicodeDecodeError, StopIteration):
         raise FormatError(f"{topic.name}: the schema is not a FileDescriptorSet") from None
     spelled = (topic.type, topic.type.replace("/msg/", "."), topic.type.replace("/", "."))
@@ -52,57 +52,57 @@ def root_of(topic: Topic) -> tuple[Types, str]:
     return types, root
 
 
-def _types(descriptors: bytes) -> Types:
+def _read_descriptor_types(descriptors: bytes) -> Types:
     found: dict[str, dict[int, ProtobufField]] = {}
-    for number, file in _records(memoryview(descriptors)):
+    for number, file in _iterate_wire_records(memoryview(descriptors)):
         if number == 1:
-            parts = list(_records(file))
+            parts = list(_iterate_wire_records(file))
             package = next((bytes(value).decode() for n, value in parts if n == 2), "")
             for n, value in parts:
                 if n == 4:
-                    _describe(value, package, found, 0)
+                    _describe_message_type(value, package, found, 0)
     return found
 
 
-def _describe(message: Any, above: str, found: dict[str, dict[int, ProtobufField]], depth: int) -> None:
+def _describe_message_type(message: Any, above: str, found: dict[str, dict[int, ProtobufField]], depth: int) -> None:
     if depth > DEEPEST:
         raise FormatError("messages nested too deeply")
-    parts = list(_records(message))
+    parts = list(_iterate_wire_records(message))
     name = ".".join(filter(None, (above, next(bytes(value).decode() for n, value in parts if n == 1))))
-    found[name] = dict(_field(value) for n, value in parts if n == 2)
+    found[name] = dict(_read_field_descriptor(value) for n, value in parts if n == 2)
     for n, value in parts:
         if n == 3:
-            _describe(value, name, found, depth + 1)
+            _describe_message_type(value, name, found, depth + 1)
 
 
-def _field(record: Any) -> tuple[int, ProtobufField]:
-    parts = dict(_records(record))
+def _read_field_descriptor(record: Any) -> tuple[int, ProtobufField]:
+    parts = dict(_iterate_wire_records(record))
     name, type_ = bytes(parts.get(1, b"")).decode(), bytes(parts.get(6, b"")).decode().lstrip(".")
     return int(parts.get(3, 0)), ProtobufField(name, int(parts.get(5, 0)), parts.get(4) == 3, type_)
 
 
-def _records(data: Any) -> Iterator[tuple[int, Any]]:
+def _iterate_wire_records(data: Any) -> Iterator[tuple[int, Any]]:
     """(field number, value): int for varints, the raw bytes for everything else."""
     if not isinstance(data, memoryview):
         raise FormatError("a number where a message was expected")
     pos = 0
     while pos < len(data):
-        key, pos = varint(data, pos)
+        key, pos = read_varint(data, pos)
         wire = key & 7
         if wire == 0:
-            value, pos = varint(data, pos)
+            value, pos = read_varint(data, pos)
             yield key >> 3, value
             continue
         if wire not in (1, 2, 5):
             raise FormatError(f"wire type {wire} at byte {pos}")
-        length, pos = varint(data, pos) if wire == 2 else ({1: 8, 5: 4}[wire], pos)
+        length, pos = read_varint(data, pos) if wire == 2 else ({1: 8, 5: 4}[wire], pos)
         if length > len(data) - pos:
             raise FormatError(f"{length} bytes at byte {pos}, but {len(data) - pos} are left")
         yield key >> 3, data[pos : pos + length]
         pos += length
 
 
-def varint(data: memoryview, pos: int) -> tuple[int, int]:
+def read_varint(data: memoryview, pos: int) -> tuple[int, int]:
     """The number at byte `pos` and where it ends; FormatError when it is broken."""
     value = shift = 0
     while pos < len(data) and shift < 64:
@@ -114,46 +114,46 @@ def varint(data: memoryview, pos: int) -> tuple[int, int]:
     raise FormatError(f"a broken number at byte {pos}")
 
 
-def _message(data: memoryview, type_: str, types: Types, topic: str, depth: int) -> dict[str, Any]:
+def _decode_message(data: memoryview, type_: str, types: Types, topic: str, depth: int) -> dict[str, Any]:
     if depth > DEEPEST or type_ not in types:
         raise FormatError(f"{topic}: {f'no definition of {type_}' if type_ not in types else 'nested too deeply'}")
     fields = types[type_]
-    out: dict[str, Any] = {f.name: _default(f) for f in fields.values()}
+    out: dict[str, Any] = {f.name: _default_value(f) for f in fields.values()}
     try:
-        for number, raw in _records(data):
+        for number, raw in _iterate_wire_records(data):
             if number in fields:
-                _store(out, fields[number], raw, types, topic, depth)
+                _store_field_value(out, fields[number], raw, types, topic, depth)
     except (FormatError, struct.error, UnicodeDecodeError) as error:
         raise FormatError(f"{topic}: {str(error).removeprefix(f'{topic}: ')}") from None
     return out
 
 
-def _store(out: dict[str, Any], field: ProtobufField, raw: Any, types: Types, topic: str, depth: int) -> None:
+def _store_field_value(out: dict[str, Any], field: ProtobufField, raw: Any, types: Types, topic: str, depth: int) -> None:
     if field.kind == MESSAGE:
-        value = _message(raw, field.type, types, topic, depth + 1) if isinstance(raw, memoryview) else None
+        value = _decode_message(raw, field.type, types, topic, depth + 1) if isinstance(raw, memoryview) else None
     elif field.repeated and field.kind not in (STRING, BYTES) and isinstance(raw, memoryview):
-        out[field.name].extend(_packed(field, raw))
+        out[field.name].extend(_decode_packed_field(field, raw))
         return
     else:
-        value = _scalar(field.kind, raw)
+        value = _decode_scalar(field.kind, raw)
     if field.repeated:
         out[field.name].append(value)
     else:
         out[field.name] = value
 
 
-def _packed(field: ProtobufField, raw: memoryview) -> list[Any]:
+def _decode_packed_field(field: ProtobufField, raw: memoryview) -> list[Any]:
     if field.kind in FIXED:
         size = struct.calcsize(FIXED[field.kind])
         return list(struct.unpack(f"<{len(raw) // size}{FIXED[field.kind][1]}", raw[: len(raw) // size * size]))
     values, pos = [], 0
     while pos < len(raw):
-        value, pos = varint(raw, pos)
-        values.append(_scalar(field.kind, value))
+        value, pos = read_varint(raw, pos)
+        values.append(_decode_scalar(field.kind, value))
     return values
 
 
-def _scalar(kind: int, raw: Any) -> Any:
+def _decode_scalar(kind: int, raw: Any) -> Any:
     if kind in FIXED:
         return struct.unpack(FIXED[kind], raw)[0]
     if kind in (STRING, BYTES):
@@ -167,7 +167,7 @@ def _scalar(kind: int, raw: Any) -> Any:
     return raw
 
 
-def _default(field: ProtobufField) -> Any:
+def _default_value(field: ProtobufField) -> Any:
     if field.repeated:
         return []
     if field.kind in (STRING, BYTES):

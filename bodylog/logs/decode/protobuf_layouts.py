@@ -7,11 +7,11 @@ import numpy as np
 
 from ...errors import FormatError
 from ..records import Array, Batch
-from .gather import agrees, gather, template
-from .layout import Layout
+from .gather import match_template, gather_rows, make_template
+from .layout import MessageLayout
 from .message_path import Step
-from .object_places import Item, Opaque, Place, column, items, text
-from .protobuf import BYTES, DEEPEST, FIXED, MESSAGE, STRING, ProtobufField, Types, varint
+from .object_places import Item, Opaque, Place, read_placed_column, list_plain_items, text_at
+from .protobuf import BYTES, DEEPEST, FIXED, MESSAGE, STRING, ProtobufField, Types, read_varint
 
 _WIRES = {0: 0, 1: 8, 5: 4}
 _LONGEST_VARINT = 10
@@ -28,25 +28,25 @@ class ProtobufLayout:
         """FormatError or KeyError when the message is broken or a path cannot be followed by position."""
         walk = _Walk(payload, types)
         value = walk.message(0, len(payload), root, 0)
-        self._items = [list(follow(value, steps, items)) for steps in paths]
-        layout = Layout(len(payload), tuple(walk.constants + walk.pinned), ())
-        self.width, self._template = len(payload), template(layout, payload, walk.high)
+        self._items = [list(follow(value, steps, list_plain_items)) for steps in paths]
+        layout = MessageLayout(len(payload), tuple(walk.constants + walk.pinned), ())
+        self.width, self._template = len(payload), make_template(layout, payload, walk.high)
 
     def values(
         self, batch: Batch, index: Array, single: Sequence[int | None]
     ) -> tuple[Array, list[Array | tuple[str, ...]] | None]:
         """Which messages `index` (m,), all `width` long, have this layout (m,), and the paths' values."""
-        rows = gather(batch.data, batch.offset[index], 8 * self._template.words)
-        same = agrees(rows, self._template)
+        rows = gather_rows(batch.data, batch.offset[index], 8 * self._template.words)
+        same = match_template(rows, self._template)
         rows = rows if same.all() else rows[same]
 
         def numbers(places: Sequence[Place]) -> Array | None:
-            parts = [_number(rows, place) for place in places]
+            parts = [_read_place_numbers(rows, place) for place in places]
             return None if any(part is None for part in parts) else np.stack(parts, axis=1)  # type: ignore[arg-type]
 
         found: list[Array | tuple[str, ...]] = []
         for some, alone in zip(self._items, single, strict=True):
-            values = column(some, alone, len(rows), numbers)
+            values = read_placed_column(some, alone, len(rows), numbers)
             if values is None:
                 return same, None
             found.append(values)
@@ -67,7 +67,7 @@ class _Walk:
         if depth > DEEPEST or type_ not in self.types:
             raise FormatError("no definition, or nested too deeply")
         fields = self.types[type_]
-        out: dict[str, Any] = {field.name: _default(field) for field in fields.values()}
+        out: dict[str, Any] = {field.name: _default_array_value(field) for field in fields.values()}
         for number, wire, at, stop in self._records(start, end):
             if number in fields:
                 self._store(out, fields[number], wire, at, stop, depth)
@@ -79,13 +79,13 @@ class _Walk:
         """Field number, wire type, and the byte range of each value."""
         pos = start
         while pos < end:
-            key, at = varint(self.payload, pos)
+            key, at = read_varint(self.payload, pos)
             wire = key & 7
             stop = at
             if wire == 0:
-                _, stop = varint(self.payload, at)
+                _, stop = read_varint(self.payload, at)
             elif wire == 2:
-                length, at = varint(self.payload, at)
+                length, at = read_varint(self.payload, at)
                 stop = at + length
             elif wire in _WIRES:
                 stop = at + _WIRES[wire]
@@ -118,7 +118,7 @@ class _Walk:
             return self._place(field, at, stop)
         content = bytes(self.payload[at:stop])
         (self.high if content.isascii() else self.constants).append((at, stop))
-        return text(content.decode(), at, stop, self.pinned)
+        return text_at(content.decode(), at, stop, self.pinned)
 
     def _packed(self, field: ProtobufField, at: int, stop: int) -> list[Place]:
         if field.kind in FIXED:
@@ -126,7 +126,7 @@ class _Walk:
             return [self._place(field, start, start + size) for start in range(at, stop - size + 1, size)]
         found = []
         while at < stop:
-            _, after = varint(self.payload[:stop], at)
+            _, after = read_varint(self.payload[:stop], at)
             found.append(self._place(field, at, after))
             at = after
         return found
@@ -142,12 +142,12 @@ class _Walk:
                 if self.payload[stop - 1] != 1:
                     raise FormatError("a number beyond 64 bits")
         place = Place(0, at, stop, field.kind, self.pinned)
-        number = _number(np.frombuffer(self.payload, np.uint8)[None], place)
+        number = _read_place_numbers(np.frombuffer(self.payload, np.uint8)[None], place)
         place.value = float("nan") if number is None else number[0].item()
         return place
 
 
-def _default(field: ProtobufField) -> Any:
+def _default_array_value(field: ProtobufField) -> Any:
     if field.repeated:
         return []
     if field.kind == STRING:
@@ -155,22 +155,22 @@ def _default(field: ProtobufField) -> Any:
     return {MESSAGE: None, BYTES: Opaque(), 1: 0.0, 2: 0.0}.get(field.kind, 0)
 
 
-def _number(rows: Array, place: Place) -> Array | None:
+def _read_place_numbers(rows: Array, place: Place) -> Array | None:
     """The numbers (n,) at a place of rows (n,width): float64 or int64; None if one exceeds 64 bits."""
     if place.kind in FIXED:
         kind = np.dtype(FIXED[place.kind])
         found = np.ndarray((len(rows),), kind, rows, place.at, (rows.shape[1],))
         wide = {"f": np.float64, "u": np.uint64, "i": np.int64}[kind.kind]
-        return found.astype(wide) if kind.kind == "f" else _signed(found.astype(wide))
+        return found.astype(wide) if kind.kind == "f" else _from_zigzag(found.astype(wide))
     value = np.zeros(len(rows), np.uint64)
     for k, at in enumerate(range(place.at, place.end)):
         value |= (rows[:, at] & 0x7F).astype(np.uint64) << np.uint64(7 * k)
     if place.kind in _ZIGZAG:
         return ((value >> np.uint64(1)) ^ (~(value & np.uint64(1)) + np.uint64(1))).view(np.int64)
-    return value.view(np.int64) if place.kind in (3, 5, 14) else _signed(value)
+    return value.view(np.int64) if place.kind in (3, 5, 14) else _from_zigzag(value)
 
 
-def _signed(value: Array) -> Array | None:
+def _from_zigzag(value: Array) -> Array | None:
     if value.dtype == np.uint64 and (value >> np.uint64(63)).any():
         return None
     return value.astype(np.int64)

@@ -38,9 +38,9 @@ class Converter:
         return convert_same_layout(self.store, self.topic.type, rows, self)
 
 
-def converter(topic: Topic) -> tuple[Converter, bytes]:
+def make_cdr_converter(topic: Topic) -> tuple[Converter, bytes]:
     """The converter of a topic and its ros2msg definition; FormatError when the definition is missing or invalid."""
-    store = _store(topic, _text(topic))
+    store = _ros2_typestore(topic, _ros1_definition(topic))
     return Converter(topic, store), store.generate_msgdef(topic.type, ros_version=2)[0].encode()
 
 
@@ -52,7 +52,7 @@ def known_definition(kind: str) -> bytes | None:
     return store.generate_msgdef(kind, ros_version=2)[0].encode() if kind in store.fielddefs else None
 
 
-def _text(topic: Topic) -> str:
+def _ros1_definition(topic: Topic) -> str:
     """The topic's definition; if the bag omits it, that of ROS 1's own type of this name and MD5."""
     from rosbags.typesys import Stores, get_typestore
 
@@ -67,7 +67,7 @@ def _text(topic: Topic) -> str:
     raise FormatError(f"topic {topic.name}: has no definition of {topic.type}")
 
 
-def _store(topic: Topic, text: str) -> Any:
+def _ros2_typestore(topic: Topic, text: str) -> Any:
     """The topic's types with ROS 2's header, which has no sequence number."""
     from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 

@@ -13,8 +13,8 @@ from ..records import Array, Topic
 from .columns import definition_of
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition
 from .layout import leaf_field
-from .message_path import is_index, steps
-from .parts import Columns
+from .message_path import is_index, parse_steps
+from .parts import TopicColumns
 
 Read = Callable[[Mapping[str, Sequence[str]]], Mapping[str, "Table"]]
 """Reads fields of topics in one pass."""
@@ -62,7 +62,7 @@ class Table:
         """A field, or the fields of an inner message: `table.header.stamp`."""
         if name.startswith("_"):
             raise AttributeError(name)
-        return _below(self, name)
+        return _fields_below(self, name)
 
     def __dir__(self) -> Iterator[str]:
         """Attributes, including the fields, for name completion."""
@@ -80,13 +80,13 @@ class Table:
 
     def to_pandas(self, fields: Sequence[str] | None = None) -> Any:
         """A pandas DataFrame: log_ns, then each field, arrays as one column per element. Needs the extra pandas."""
-        with _installed("pandas"):
+        with _require_package("pandas"):
             import pandas as pd
         return pd.DataFrame(dict(self._flat(fields)))
 
     def to_arrow(self, fields: Sequence[str] | None = None) -> Any:
         """A pyarrow Table: log_ns, then each field, arrays as one column per element; UsageError without pyarrow."""
-        with _installed("pyarrow"):
+        with _require_package("pyarrow"):
             import pyarrow as pa
         return pa.table({name: pa.array(values) for name, values in self._flat(fields)})
 
@@ -129,7 +129,7 @@ class Table:
 
 
 @contextmanager
-def _installed(package: str) -> Iterator[None]:
+def _require_package(package: str) -> Iterator[None]:
     """Turn a failed import in the `with` block into a UsageError that names the package to install."""
     try:
         yield
@@ -148,7 +148,7 @@ class Struct:
         """A field, or the fields below it."""
         if name.startswith("_"):
             raise AttributeError(name)
-        return _below(self._table, f"{self._path}.{name}")
+        return _fields_below(self._table, f"{self._path}.{name}")
 
     def __repr__(self) -> str:
         """The fields."""
@@ -156,7 +156,7 @@ class Struct:
         return f"<{self._table._name}.{self._path}: {', '.join(below)}>"
 
 
-def _below(table: Table, path: str) -> Any:
+def _fields_below(table: Table, path: str) -> Any:
     if path in table.fields:
         return table[path]
     inner = next((f for f in table.fields if f.startswith((f"{path}.", f"{path}["))), None)
@@ -167,29 +167,29 @@ def _below(table: Table, path: str) -> Any:
     raise AttributeError(f"{table._name}: no field {path!r}{hint} The fields are {', '.join(table.fields)}")
 
 
-def filled(table: Table, topics: Sequence[Topic], columns: Sequence[Columns], wanted: Sequence[str]) -> Table:
+def fill_table(table: Table, topics: Sequence[Topic], columns: Sequence[TopicColumns], wanted: Sequence[str]) -> Table:
     """The table with the fields `wanted`, from the columns of each of the topic's schemas."""
     starts = np.cumsum([0, *(len(c.log_ns) for c in columns)])
     for field in wanted:
         rows = np.concatenate([c.sound + start for c, start in zip(columns, starts, strict=False)])
-        parts = [_column(t, c, field) for t, c in zip(topics, columns, strict=True) if len(c.sound)]
-        table._found[field] = _Field(rows, _joined(parts))
+        parts = [_topic_column(t, c, field) for t, c in zip(topics, columns, strict=True) if len(c.sound)]
+        table._found[field] = _Field(rows, _concatenate_columns(parts))
     for one in columns:
         for reason, count in one.rejected.items():
             table.rejected[reason] = table.rejected.get(reason, 0) + count
     return table
 
 
-def _column(topic: Topic, columns: Columns, field: str) -> Array:
+def _topic_column(topic: Topic, columns: TopicColumns, field: str) -> Array:
     packed = [part.values[columns.fields.index(field)] for part in columns.parts]
     if len({part.shape[1:] for part in packed if isinstance(part, np.ndarray) and part.dtype == np.uint8}) > 1:
-        return _bytes(columns, packed)
+        return _byte_objects(columns, packed)
     values = columns.column(field)
     single = values.dtype.kind == "U" and values.ndim == 2 and values.shape[1] == 1 and _is_single(topic, field)
     return values[:, 0] if single else values
 
 
-def _bytes(columns: Columns, packed: Sequence[Any]) -> Array:
+def _byte_objects(columns: TopicColumns, packed: Sequence[Any]) -> Array:
     """Arrays of bytes of several lengths, as objects: padded, images would take a multiple of the log's size."""
     found = [(row, one.tobytes()) for part, values in zip(columns.parts, packed, strict=True)
              for row, one in zip(part.rows.tolist(), values, strict=True)]  # fmt: skip
@@ -199,23 +199,23 @@ def _bytes(columns: Columns, packed: Sequence[Any]) -> Array:
 
 
 def _is_single(topic: Topic, field: str) -> bool:
-    path = steps(field)
+    path = parse_steps(field)
     if topic.encoding in _OBJECTS:
         return all(isinstance(step, str) or is_index(step) for step in path)
     return leaf_field(definition_of(topic), path)[1]
 
 
-def _joined(parts: Sequence[Array]) -> Array:
+def _concatenate_columns(parts: Sequence[Array]) -> Array:
     if len(parts) == 1:
         return parts[0]
     widths = {part.shape[1:] for part in parts}
     if len(widths) > 1:
         widest = max(part.shape[1] if part.ndim == 2 else 1 for part in parts)
-        parts = [_padded(part if part.ndim == 2 else part[:, None], widest) for part in parts]
+        parts = [_pad_rows(part if part.ndim == 2 else part[:, None], widest) for part in parts]
     return np.concatenate(parts) if parts else np.empty(0)
 
 
-def _padded(values: Array, width: int) -> Array:
+def _pad_rows(values: Array, width: int) -> Array:
     if values.shape[1] == width:
         return values
     empty: Any = "" if values.dtype.kind == "U" else np.nan
@@ -224,16 +224,16 @@ def _padded(values: Array, width: int) -> Array:
 
 def leaf_paths(definition: Definition) -> Iterator[str]:
     """The leaf fields of a CDR or ROS 1 message by message path."""
-    yield from _leaves(definition, definition.root)
+    yield from _leaf_paths(definition, definition.root)
 
 
-def _leaves(definition: Definition, type_: str, prefix: str = "") -> Iterator[str]:
+def _leaf_paths(definition: Definition, type_: str, prefix: str = "") -> Iterator[str]:
     for field in definition.types[type_]:
         path = prefix + field.name
         if field.type in PRIMITIVES or field.type in TEXTS or field.type in TIMES:
             yield path
         else:
-            yield from _leaves(definition, field.type, f"{path}." if field.size is None else f"{path}[:].")
+            yield from _leaf_paths(definition, field.type, f"{path}." if field.size is None else f"{path}[:].")
 
 
 def object_paths(message: Mapping[str, Any], prefix: str = "") -> Iterator[str]:

@@ -38,17 +38,17 @@ class Payloads:
     length: Array
 
 
-def time(ns: Array) -> list[CdrField]:
+def cdr_time_field(ns: Array) -> list[CdrField]:
     """builtin_interfaces/Time or Duration from int64 ns (n,)."""
     return [("int32", ns // 1_000_000_000), ("uint32", ns % 1_000_000_000)]
 
 
-def header(ns: Array, frame_id: str = "") -> list[CdrField]:
+def cdr_header_field(ns: Array, frame_id: str = "") -> list[CdrField]:
     """std_msgs/Header from int64 stamps in ns (n,)."""
-    return [*time(ns), ("string", frame_id)]
+    return [*cdr_time_field(ns), ("string", frame_id)]
 
 
-def serialise(count: int, fields: Sequence[CdrField]) -> Payloads:
+def serialise_messages(count: int, fields: Sequence[CdrField]) -> Payloads:
     """Serialise `count` messages of these `fields` in order, all of one length."""
     layout = _Layout()
     for kind, value in fields:
@@ -62,7 +62,7 @@ def serialise(count: int, fields: Sequence[CdrField]) -> Payloads:
     return Payloads(rows.view(np.uint8).reshape(-1), np.arange(count) * size, np.full(count, size))
 
 
-def merge(parts: Sequence[tuple[Array, Payloads]], count: int) -> Payloads:
+def merge_payloads(parts: Sequence[tuple[Array, Payloads]], count: int) -> Payloads:
     """Groups of payloads in one order: each part lists which of the `count` messages it holds."""
     offset, length = np.zeros(count, np.int64), np.zeros(count, np.int64)
     start = 0

@@ -94,7 +94,7 @@ WRITTEN = tuple(name.replace("/", "/msg/") for name in _NEEDS)
 """The types, as package/msg/Name."""
 
 
-def definition(name: str) -> bytes:
+def ros2msg_definition(name: str) -> bytes:
     """The ros2msg text of package/msg/Name, followed by every type it needs."""
     short = name.replace("/msg/", "/")
     parts = [_PARTS[short]]

@@ -25,12 +25,12 @@ _SILENT = 0
 
 def decode_image(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_image_mpx) -> Array:
     """Decode an image's bytes to (H/k, W/k, 3) uint8 BGR; FormatError, naming its `form`, if that fails."""
-    height, width, jpeg = _size(data[: 1 << 16], form)
+    height, width, jpeg = _read_image_size(data[: 1 << 16], form)
     check_size(height, width, mpx)
-    image = _jpeg(data, height, width, k) if jpeg else None
+    image = _decode_jpeg(data, height, width, k) if jpeg else None
     if image is None:
         image = _decode_any(data, form, k if jpeg else 1)
-    return image if jpeg or k == 1 else _shrunk(image, k)
+    return image if jpeg or k == 1 else _shrink_image(image, k)
 
 
 def check_size(height: int, width: int, mpx: float) -> None:
@@ -42,7 +42,7 @@ def check_size(height: int, width: int, mpx: float) -> None:
         raise FormatError(f"an image of {width} x {height} pixels, more than {mpx:g} million; {asked}")
 
 
-def _jpeg(data: memoryview, height: int, width: int, k: int) -> Array | None:
+def _decode_jpeg(data: memoryview, height: int, width: int, k: int) -> Array | None:
     """Decode a JPEG to the same bytes as OpenCV in 7/8 of its time; None if OpenCV must decide.
 
     For damaged codes before a complete end OpenCV gives the same, with a message on standard error.
@@ -107,7 +107,7 @@ def _check_png(data: memoryview, form: str) -> None:
         at = end
 
 
-def _shrunk(image: Array, k: int) -> Array:
+def _shrink_image(image: Array, k: int) -> Array:
     """The means of k by k pixels (H/k, W/k, 3), as JPEG gives them; a remainder at right and bottom is dropped."""
     import cv2
 
@@ -115,7 +115,7 @@ def _shrunk(image: Array, k: int) -> Array:
     return np.asarray(cv2.resize(image[: k * height, : k * width], (width, height), interpolation=cv2.INTER_AREA))
 
 
-def _size(begins: memoryview, form: str) -> tuple[int, int, bool]:
+def _read_image_size(begins: memoryview, form: str) -> tuple[int, int, bool]:
     """Height, width and whether it is JPEG, from an image's first bytes."""
     head = bytes(begins[:32])
     try:

@@ -24,9 +24,9 @@ def stated_size(data: memoryview) -> tuple[int, int]:
     head = bytes(data[:4])
     try:
         if head[:2] == b"BM":
-            return _bmp(data)
+            return _bmp_size(data)
         if head[:2] in (b"II", b"MM"):
-            return _tiff(data, "<" if head[:2] == b"II" else ">")
+            return _tiff_size(data, "<" if head[:2] == b"II" else ">")
         if found := _PNM.match(data[:_PNM_HEADER]):
             return int(found[2]), int(found[1])
     except (struct.error, ValueError):
@@ -36,7 +36,7 @@ def stated_size(data: memoryview) -> tuple[int, int]:
     )
 
 
-def _bmp(data: memoryview) -> tuple[int, int]:
+def _bmp_size(data: memoryview) -> tuple[int, int]:
     (length,) = struct.unpack_from("<I", data, 14)
     if length == _BMP_CORE:
         width, height = struct.unpack_from("<HH", data, 18)
@@ -45,17 +45,17 @@ def _bmp(data: memoryview) -> tuple[int, int]:
     return abs(height), abs(width)  # a negative height: rows from above
 
 
-def _tiff(data: memoryview, order: str) -> tuple[int, int]:
+def _tiff_size(data: memoryview, order: str) -> tuple[int, int]:
     """The largest height and width of the first directory, of image or tile."""
     (version,) = struct.unpack_from(f"{order}H", data, 2)
     if version == _TIFF:
         (start,) = struct.unpack_from(f"{order}I", data, 4)
         (count,) = struct.unpack_from(f"{order}H", data, start)
-        entries = _entries(data, order, start + 2, count, 12)
+        entries = _iterate_directory_entries(data, order, start + 2, count, 12)
     elif version == _BIG_TIFF:
         (start,) = struct.unpack_from(f"{order}Q", data, 8)
         (count,) = struct.unpack_from(f"{order}Q", data, start)
-        entries = _entries(data, order, start + 8, count, 20)
+        entries = _iterate_directory_entries(data, order, start + 8, count, 20)
     else:
         raise FormatError(f"a tiff image of version {version}; can read {_TIFF} and {_BIG_TIFF}")
     widths, heights = [0], [0]
@@ -67,7 +67,7 @@ def _tiff(data: memoryview, order: str) -> tuple[int, int]:
     return max(heights), max(widths)
 
 
-def _entries(
+def _iterate_directory_entries(
     data: memoryview, order: str, start: int, count: int, step: int
 ) -> Iterator[tuple[int, int]]:
     """Yield tag and value of a directory's integers; the value ends an entry of `step` bytes."""

@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import FormatError
 from ..decode.columns import definition_of, is_ros1, is_ros1_payload
 from ..decode.cursor import Payload
-from ..decode.dynamic import reader
+from ..decode.dynamic import make_dynamic_reader
 from ..decode.layout import Picker
 from ..limits import LIMITS
 from ..records import Array, Topic
@@ -63,7 +63,7 @@ ENCODINGS: Mapping[str, _Encoding] = {
 }  # fmt: skip
 
 
-def refusal(topic: Topic, text: str) -> str | None:
+def explain_refused_image(topic: Topic, text: str) -> str | None:
     """Why images with this format or encoding text cannot be read, or None."""
     if topic.type in COMPRESSED and _CODECS.fullmatch(text.strip()):
         return f"format {text!r} is {PACKETS}"
@@ -82,14 +82,14 @@ def text_field(topic: Topic) -> str:
     return "format" if topic.type in COMPRESSED else "encoding"
 
 
-def decoder(topic: Topic, mpx: float = LIMITS.max_image_mpx) -> Callable[[Payload, int], Array]:
+def make_image_decoder(topic: Topic, mpx: float = LIMITS.max_image_mpx) -> Callable[[Payload, int], Array]:
     """decode(payload, k) -> (H/k, W/k, 3) uint8 BGR of a topic's messages; FormatError names the problem.
 
     Images of more than `mpx` million pixels are rejected. Raw images are not copied: the result is a read-only view of
     the payload in another order.
     """
-    read = _reader(topic, _FIELDS.get(topic.type, _RAW_FIELDS))
-    unpack = _compressed if topic.type in COMPRESSED else _raw
+    read = _make_field_reader(topic, _FIELDS.get(topic.type, _RAW_FIELDS))
+    unpack = _decode_compressed_image if topic.type in COMPRESSED else _decode_raw_image
 
     def decode(payload: Payload, k: int) -> Array:
         try:
@@ -101,9 +101,9 @@ def decoder(topic: Topic, mpx: float = LIMITS.max_image_mpx) -> Callable[[Payloa
     return decode
 
 
-def _reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[Payload], Mapping[str, Any]]:
+def _make_field_reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[Payload], Mapping[str, Any]]:
     if topic.encoding in ("json", "protobuf"):
-        read = reader(topic)
+        read = make_dynamic_reader(topic)
         return lambda payload: _with_bytes(read(bytes(payload)))
     definition, paths = definition_of(topic), tuple((name,) for name in fields)
     pickers = {ros1: Picker(definition, paths, ros1) for ros1 in (False, True)}
@@ -121,10 +121,10 @@ def _reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[Payload], Mappin
 
 
 def _with_bytes(message: Mapping[str, Any]) -> Mapping[str, Any]:
-    return {**message, "data": content(message)}
+    return {**message, "data": image_bytes(message)}
 
 
-def content(message: Mapping[str, Any]) -> bytes:
+def image_bytes(message: Mapping[str, Any]) -> bytes:
     """The bytes of an image message, in JSON as base64; FormatError for anything else."""
     data = message.get("data", b"")
     try:
@@ -136,14 +136,14 @@ def content(message: Mapping[str, Any]) -> bytes:
     return data
 
 
-def _compressed(message: Mapping[str, Any], k: int, mpx: float) -> Array:
+def _decode_compressed_image(message: Mapping[str, Any], k: int, mpx: float) -> Array:
     form = str(message.get("format", ""))
     if "compresseddepth" in form.lower():
         raise FormatError(f"format {form!r} is compressedDepth, which holds depth, not an image")
     return decode_image(memoryview(message.get("data", b"")), form, k, mpx)
 
 
-def whole(message: Mapping[str, Any], name: str) -> int:
+def image_size_field(message: Mapping[str, Any], name: str) -> int:
     """A size in an image message, 0 without that field; FormatError if it is not a 32-bit number."""
     value = message.get(name, 0)
     if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < 1 << 32:
@@ -151,14 +151,14 @@ def whole(message: Mapping[str, Any], name: str) -> int:
     return int(value)
 
 
-def _raw(message: Mapping[str, Any], k: int, mpx: float) -> Array:
-    height, width, name = whole(message, "height"), whole(message, "width"), str(message.get("encoding", ""))
+def _decode_raw_image(message: Mapping[str, Any], k: int, mpx: float) -> Array:
+    height, width, name = image_size_field(message, "height"), image_size_field(message, "width"), str(message.get("encoding", ""))
     if name not in ENCODINGS:
         raise FormatError(f"encoding {name!r}; possible: {', '.join(ENCODINGS)}")
     encoding = ENCODINGS[name]
     check_size(height, width, mpx)
     data, line = message.get("data", b""), width * encoding.channels * encoding.size
-    step, lines = whole(message, "step") or line, height
+    step, lines = image_size_field(message, "step") or line, height
     if encoding.below:  # publishers disagree on the step of these, so it is computed from the bytes
         lines = height * 3 // 2
         step = len(data) // lines

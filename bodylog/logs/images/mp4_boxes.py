@@ -29,7 +29,7 @@ def check_samples(path: Path, limits: Input) -> None:
         if data[4:8] not in (b"ftyp", b"moov", b"mdat", b"free", b"wide", b"skip"):
             return
         samples = parts = 0
-        for boxes, (kind, start, end) in enumerate(_boxes(data, 0, len(data), 0)):
+        for boxes, (kind, start, end) in enumerate(_iterate_boxes(data, 0, len(data), 0)):
             if kind in (b"stsz", b"stz2") and end - start >= 12:
                 samples += struct.unpack_from(">I", data, start + 8)[0]
             elif kind == b"trun" and end - start >= 8:
@@ -42,7 +42,7 @@ def check_samples(path: Path, limits: Input) -> None:
                 raise LogError(f"{path}: its tables declare {whole} samples in {boxes} boxes; {asked}")
 
 
-def _boxes(data: mmap.mmap, start: int, end: int, depth: int) -> Iterator[tuple[bytes, int, int]]:
+def _iterate_boxes(data: mmap.mmap, start: int, end: int, depth: int) -> Iterator[tuple[bytes, int, int]]:
     """Every box between two bytes, and those in it: its kind, and where its content begins and ends."""
     while start + 8 <= end:
         length, kind = struct.unpack_from(">I4s", data, start)
@@ -55,5 +55,5 @@ def _boxes(data: mmap.mmap, start: int, end: int, depth: int) -> Iterator[tuple[
             return
         yield kind, start + head, last
         if kind in _CONTAINERS and depth < _DEEPEST:
-            yield from _boxes(data, start + head, last, depth + 1)
+            yield from _iterate_boxes(data, start + head, last, depth + 1)
         start = last

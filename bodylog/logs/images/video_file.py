@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import FormatError, LogError
 from ..datasets import video
 from ..limits import LIMITS, Input
-from ..records import Array, Frame
+from ..records import Array, LazyImage
 
 _DATES = 1e8
 """s: larger times count from 1970, smaller ones from a start that the table does not give."""
@@ -27,7 +27,7 @@ class Sidecar(NamedTuple):
         return float(np.diff(self.t).max()) if len(self.t) > 1 else 0.0
 
 
-def find(name: str, log: Path, rate: float | None, limits: Input = LIMITS) -> Sidecar:
+def find_video_file(name: str, log: Path, rate: float | None, limits: Input = LIMITS) -> Sidecar:
     """Find the video `name`, here or beside the log, at `rate` (1/s; None: its own times).
 
     LogError if it is missing or no video, or its images are too large or too many.
@@ -36,14 +36,14 @@ def find(name: str, log: Path, rate: float | None, limits: Input = LIMITS) -> Si
     if path is None:
         asked = f"[topics] camera = {name!r}, but there is no such file, here or beside the log"
         raise LogError(f"{log}: {asked}")
-    film = video.survey(path, limits)
+    film = video.survey_video(path, limits)
     if rate is not None:
         return Sidecar(film, np.arange(len(film.pts)) / rate)
-    t = _times(film)
+    t = _read_frame_times(film)
     return Sidecar(film, film.t - film.t[:1] if t is None else t)
 
 
-def _times(film: video.Video) -> Array | None:
+def _read_frame_times(film: video.Video) -> Array | None:
     """The times of a video's frames from a table beside it; LogError if it has another number of
     rows.
     """
@@ -57,7 +57,7 @@ def _times(film: video.Video) -> Array | None:
     return t
 
 
-def frames(side: Sidecar, first_s: float | None, start_ns: int) -> Callable[[], Iterator[Frame]]:
+def make_video_decoder(side: Sidecar, first_s: float | None, start_ns: int) -> Callable[[], Iterator[LazyImage]]:
     """A function that decodes the video from its beginning; its first frame is at first_s after
     start_ns.
 
@@ -68,15 +68,15 @@ def frames(side: Sidecar, first_s: float | None, start_ns: int) -> Callable[[], 
     begins = start_ns / 1e9 if is_date else side.t[:1] - (first_s or 0.0)
     times = (side.t - begins).tolist()
 
-    def read() -> Iterator[Frame]:
-        for number, image in video.images(side.video):
+    def read() -> Iterator[LazyImage]:
+        for number, image in video.iterate_video_images(side.video):
             t = times[number]
-            yield Frame(t, start_ns + round(t * 1e9), _decode(side.video.path, number, image))
+            yield LazyImage(t, start_ns + round(t * 1e9), _decode_video_frame(side.video.path, number, image))
 
     return read
 
 
-def _decode(path: Path, number: int, image: Array | None) -> Callable[[int], Array]:
+def _decode_video_frame(path: Path, number: int, image: Array | None) -> Callable[[int], Array]:
     def decode(k: int) -> Array:
         if image is None:
             raise FormatError(f"{path.name}: image {number} is damaged or of another size")

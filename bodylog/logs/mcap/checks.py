@@ -14,10 +14,10 @@ from ..records import Array
 from ..storage.compression import Buffer
 from ..storage.mmapped import drop_pages
 from . import opcodes as op
-from .chunks import Chunk, MessageRecords, chunk_head, heads_at, index_of, load, messages
-from .records import HEAD, MAGIC, Record, iter_records, parse
-from .resync import sound_records
-from .summary import records_of, section
+from .chunks import Chunk, MessageRecords, chunk_head, heads_at, index_of, load_chunk, list_chunk_messages
+from .records import HEAD, MAGIC, Record, iter_records, parse_record
+from .resync import iterate_sound_records
+from .summary import records_of, find_summary_section
 
 Say = Callable[[str, str], None]
 """Reports a finding: its kind and its text."""
@@ -43,7 +43,7 @@ class _Tally:
             self.times += [int(heads["log"].min()), int(heads["log"].max())]
 
 
-def check(data: memoryview, diagnostics: Diagnostics, say: Say) -> None:
+def check_mcap(data: memoryview, diagnostics: Diagnostics, say: Say) -> None:
     """Report every disagreement in the MCAP to `say`; the reader's own findings cover unreadable parts."""
     tally, buffer = _Tally(), Buffer(diagnostics.path, diagnostics.limits)
     chunk: tuple[Chunk, MessageRecords] | None = None
@@ -53,42 +53,42 @@ def check(data: memoryview, diagnostics: Diagnostics, say: Say) -> None:
         chunk = None
         tally.lost += size
 
-    for opcode, at, length in sound_records(data, len(MAGIC), len(data), (), lost):
+    for opcode, at, length in iterate_sound_records(data, len(MAGIC), len(data), (), lost):
         tally.records[opcode] = tally.records.get(opcode, 0) + 1
         body = data[at + HEAD.size : at + HEAD.size + length]
         if opcode == op.CHUNK:
-            chunk = _chunk(data, at, length, tally, buffer, diagnostics, say)
+            chunk = _check_chunk(data, at, length, tally, buffer, diagnostics, say)
         elif opcode == op.MESSAGE_INDEX and chunk is not None:
-            _index(data, at, chunk, say)
+            _check_message_index(data, at, chunk, say)
         elif opcode == op.MESSAGE:
             tally.add(heads_at(data, np.array([at])))
         elif opcode in tally.declared:
-            tally.declared[opcode].add(parse(opcode, body).fields["id"])
+            tally.declared[opcode].add(parse_record(opcode, body).fields["id"])
         elif opcode == op.ATTACHMENT:
-            _attachment(at, body, say)
+            _check_attachment(at, body, say)
         elif opcode == op.DATA_END:
             _data_end(data, at, body, say)
             break
     with suppress(FormatError):  # the reader reports it
-        place = section(data)
-        _summary(data, records_of(data, *place) if place else (), tally, say)
+        place = find_summary_section(data)
+        _check_summary(data, records_of(data, *place) if place else (), tally, say)
 
 
-def _chunk(
+def _check_chunk(
     data: memoryview, at: int, length: int, tally: _Tally, buffer: Buffer, diagnostics: Diagnostics, say: Say
 ) -> tuple[Chunk, MessageRecords] | None:
     first, last, *_ = chunk_head(data, at)
     chunk = Chunk(at, HEAD.size + length, first, last)
-    content = load(data, chunk, buffer, diagnostics)
+    content = load_chunk(data, chunk, buffer, diagnostics)
     if content is None:
         tally.lost += chunk.length
         return None
-    found = messages(content, data, chunk, diagnostics)
+    found = list_chunk_messages(content, data, chunk, diagnostics)
     drop_pages(data, at, at + chunk.length)
     tally.add(found.heads)
     for opcode, start, size in iter_records(content.data, 0, len(content)):
         if opcode in tally.declared:
-            tally.declared[opcode].add(parse(opcode, content.data[start : start + size]).fields["id"])
+            tally.declared[opcode].add(parse_record(opcode, content.data[start : start + size]).fields["id"])
     if len(found.starts):
         held = int(found.heads["log"].min()), int(found.heads["log"].max())
         if held != (first, last):
@@ -97,7 +97,7 @@ def _chunk(
     return chunk, found
 
 
-def _index(data: memoryview, at: int, chunk: tuple[Chunk, MessageRecords], say: Say) -> None:
+def _check_message_index(data: memoryview, at: int, chunk: tuple[Chunk, MessageRecords], say: Say) -> None:
     """Compare a MessageIndex with the messages of its channel in the chunk before it."""
     channel = int.from_bytes(data[at + HEAD.size : at + HEAD.size + 2], "little")
     listed = index_of(data, at)
@@ -110,7 +110,7 @@ def _index(data: memoryview, at: int, chunk: tuple[Chunk, MessageRecords], say: 
         say("index", f"{where} gives offsets or log times that are not those of the messages")
 
 
-def _attachment(at: int, body: memoryview, say: Say) -> None:
+def _check_attachment(at: int, body: memoryview, say: Say) -> None:
     declared = int.from_bytes(body[-4:], "little")
     found = crc32(body[:-4])
     if declared and declared != found:
@@ -129,25 +129,25 @@ def _data_end(data: memoryview, at: int, body: memoryview, say: Say) -> None:
         say("data", f"the data section has CRC {found:08x} where {declared:08x} is declared")
 
 
-def _summary(data: memoryview, records: Iterable[Record], tally: _Tally, say: Say) -> None:
+def _check_summary(data: memoryview, records: Iterable[Record], tally: _Tally, say: Say) -> None:
     listed = 0
     for record in records:
         fields = record.fields
         listed += record.opcode == op.CHUNK_INDEX
         if record.opcode == op.STATISTICS and not tally.lost:
-            _statistics(fields, tally, say)
+            _check_mcap_statistics(fields, tally, say)
         elif record.opcode == op.CHUNK_INDEX:
             _chunk_index(data, fields, say)
         elif record.opcode in _INDEXES:
             name, opcode = _INDEXES[record.opcode]
-            _points(data, fields["offset"], fields["length"], opcode, f"the {name} index", say)
+            _check_index_target(data, fields["offset"], fields["length"], opcode, f"the {name} index", say)
         elif record.opcode == op.SUMMARY_OFFSET:
-            _group(data, fields, say)
+            _check_summary_group(data, fields, say)
     if listed and not tally.lost and listed != tally.records.get(op.CHUNK, 0):
         say("chunk index", f"the summary lists {listed} chunks, the file holds {tally.records.get(op.CHUNK, 0)}")
 
 
-def _statistics(fields: dict[str, Any], tally: _Tally, say: Say) -> None:
+def _check_mcap_statistics(fields: dict[str, Any], tally: _Tally, say: Say) -> None:
     held = {
         "message_count": sum(tally.messages.values()),
         "schema_count": len(tally.declared[op.SCHEMA]),
@@ -187,13 +187,13 @@ def _chunk_index(data: memoryview, fields: dict[str, Any], say: Say) -> None:
             say("chunk index offset", f"the chunk index says channel {channel} is indexed at byte {at}: it is not")
 
 
-def _points(data: memoryview, at: int, length: int, opcode: int, name: str, say: Say) -> None:
+def _check_index_target(data: memoryview, at: int, length: int, opcode: int, name: str, say: Say) -> None:
     inside = 0 <= at <= len(data) - HEAD.size
     if not inside or HEAD.unpack_from(data, at) != (opcode, length - HEAD.size):
         say(name, f"{name} points to {length} bytes at byte {at}, which are not such a record")
 
 
-def _group(data: memoryview, fields: dict[str, Any], say: Say) -> None:
+def _check_summary_group(data: memoryview, fields: dict[str, Any], say: Say) -> None:
     start, end = fields["group_start"], fields["group_start"] + fields["group_length"]
     if start == end:
         return

@@ -87,7 +87,7 @@ def records_at(chunk: Chunk, compression: str) -> int:
     return chunk.start + HEAD.size + CHUNK_HEAD.size + len(compression) + _U64.size
 
 
-def unpack(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
+def unpack_chunk(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
     """The chunk's records (bytes,) uint8; FormatError when decompression or the CRC check fails.
 
     A truncated chunk gives the records before the cut, without a CRC check.
@@ -103,10 +103,10 @@ def unpack(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
     return content
 
 
-def load(data: memoryview, chunk: Chunk, buffer: Buffer, diagnostics: Diagnostics) -> Array | None:
+def load_chunk(data: memoryview, chunk: Chunk, buffer: Buffer, diagnostics: Diagnostics) -> Array | None:
     """The chunk's records (bytes,) uint8 if its CRC matches, else None and a loss in the diagnostics."""
     try:
-        return unpack(data, chunk, buffer)
+        return unpack_chunk(data, chunk, buffer)
     except FormatError as problem:
         record_loss(data, chunk, problem, diagnostics)
         return None
@@ -131,10 +131,10 @@ def index_of(data: memoryview, at: int) -> Array:
     return np.frombuffer(data, "<i8", size // 16 * 2, at + _INDEX_HEAD.size).reshape(-1, 2)
 
 
-def messages(content: Array, data: memoryview, chunk: Chunk, diagnostics: Diagnostics) -> MessageRecords:
+def list_chunk_messages(content: Array, data: memoryview, chunk: Chunk, diagnostics: Diagnostics) -> MessageRecords:
     """All messages of a loaded chunk in order: by its indexes if they are right, else record by record."""
     if chunk.indexes:
-        found = indexed(content, [(0, len(content))], data, [chunk])
+        found = list_indexed_messages(content, [(0, len(content))], data, [chunk])
         if found is not None:
             return found
         diagnostics.warn(
@@ -153,7 +153,7 @@ def heads_at(content: Array | memoryview, starts: Array) -> Array:
     return heads_of(content).view(f"V{MESSAGE_HEAD.itemsize}")[starts].view(MESSAGE_HEAD)
 
 
-def indexed(
+def list_indexed_messages(
     content: Array, places: Sequence[tuple[int, int]], data: memoryview, chunks: Sequence[Chunk]
 ) -> MessageRecords | None:
     """All messages of chunks by their indexes, each chunk's records between two bytes of `content`; None if wrong."""
@@ -174,11 +174,11 @@ def indexed(
         starts, heads = starts[order], heads[order]
     empty = (np.diff(np.searchsorted(starts, [low for low, _ in places]), append=len(starts)) == 0).any()
     return (
-        None if empty or not _tiled(content, np.array(places), starts, heads["size"]) else MessageRecords(starts, heads)
+        None if empty or not _records_fill_places(content, np.array(places), starts, heads["size"]) else MessageRecords(starts, heads)
     )
 
 
-def _tiled(content: Array, places: Array, starts: Array, sizes: Array) -> bool:
+def _records_fill_places(content: Array, places: Array, starts: Array, sizes: Array) -> bool:
     """Whether whole records without a gap fill each place, so that the index misses no message."""
     if sizes.min() < MESSAGE_HEAD.itemsize - HEAD.size or sizes.max() > len(content):
         return False
@@ -204,10 +204,10 @@ def _scan_messages(content: Array, chunk: Chunk, diagnostics: Diagnostics) -> Me
                 starts.append(body - HEAD.size)
     except FormatError as problem:
         diagnostics.add_loss(chunk.start, chunk.length, None, None, f"inside the chunk, {problem}")
-    return _at(content, starts)
+    return _message_records_at(content, starts)
 
 
-def _at(content: Array | memoryview, starts: list[int]) -> MessageRecords:
+def _message_records_at(content: Array | memoryview, starts: list[int]) -> MessageRecords:
     where = np.array(starts, np.int64)
     return MessageRecords(where, heads_at(content, where))
 
@@ -216,7 +216,7 @@ def loose_messages(data: memoryview, run: LooseRecords) -> Iterator[MessageRecor
     """The messages of a run, in blocks."""
     at = run.start
     while at < run.end:
-        starts, after = following(data, at, run.end)
+        starts, after = follow_messages(data, at, run.end)
         if len(starts):
             yield MessageRecords(starts, heads_at(data, starts))
         else:
@@ -224,7 +224,7 @@ def loose_messages(data: memoryview, run: LooseRecords) -> Iterator[MessageRecor
         at = after
 
 
-def following(data: memoryview, at: int, end: int) -> tuple[Array, int]:
+def follow_messages(data: memoryview, at: int, end: int) -> tuple[Array, int]:
     """Where consecutive Messages (n,) start from byte `at` to `end`, at most one block; and where they end."""
     if end - at < _SHORTEST:
         return np.empty(0, np.int64), at

@@ -9,7 +9,7 @@ from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import Buffer
 from ..storage.mmapped import advise_sequential
-from .chunks import Chunk, LooseRecords, unpack
+from .chunks import Chunk, LooseRecords, unpack_chunk
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
@@ -28,17 +28,17 @@ def unpacked_parts(
     data: memoryview, parts: Sequence[Chunk | LooseRecords], diagnostics: Diagnostics, alone: bool = False
 ) -> Iterator[tuple[Chunk | LooseRecords, Unpacked]]:
     """Each part with its decompressed records, valid until the next; `alone`: nothing between is needed."""
-    if len(parts) < 3 or parts[-1].start - parts[0].start < _SMALL or _processors() < 2:
+    if len(parts) < 3 or parts[-1].start - parts[0].start < _SMALL or _count_processors() < 2:
         buffer = Buffer(diagnostics.path, diagnostics.limits)
-        yield from ((part, _unpacked(data, part, buffer, alone)) for part in parts)
+        yield from ((part, _unpack_part(data, part, buffer, alone)) for part in parts)
         return
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(1) as pool:
-        yield from _overlapped(data, parts, pool, diagnostics, alone)
+        yield from _overlap_unpacking(data, parts, pool, diagnostics, alone)
 
 
-def _overlapped(
+def _overlap_unpacking(
     data: memoryview,
     parts: Sequence[Chunk | LooseRecords],
     pool: "ThreadPoolExecutor",
@@ -49,23 +49,23 @@ def _overlapped(
     here, there = Buffer(diagnostics.path, diagnostics.limits), Buffer(diagnostics.path, diagnostics.limits)
     waiting: Future[Unpacked] | None = None
     for number, part in enumerate(parts):
-        found = waiting.result() if waiting else _unpacked(data, part, here, alone)
+        found = waiting.result() if waiting else _unpack_part(data, part, here, alone)
         following = parts[number + 1] if 0 < number < len(parts) - 1 else None
         pays = isinstance(following, Chunk) and _SHORT <= following.length <= _LONG
-        waiting = pool.submit(_unpacked, data, following, there, alone) if following and pays else None
+        waiting = pool.submit(_unpack_part, data, following, there, alone) if following and pays else None
         yield part, found
         here, there = there, here
 
 
-def _unpacked(data: memoryview, part: Chunk | LooseRecords, buffer: Buffer, alone: bool) -> Unpacked:
+def _unpack_part(data: memoryview, part: Chunk | LooseRecords, buffer: Buffer, alone: bool) -> Unpacked:
     if isinstance(part, LooseRecords):
         return None
     advise_sequential(data, part.start, part.start + part.length, alone)
     try:
-        return unpack(data, part, buffer)
+        return unpack_chunk(data, part, buffer)
     except FormatError as problem:
         return problem
 
 
-def _processors() -> int:
+def _count_processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

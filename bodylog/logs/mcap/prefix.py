@@ -10,7 +10,7 @@ from ...errors import FormatError
 from ..topic_names import PREFIX
 from . import opcodes as op
 from .record_file import Head, RecordFile
-from .records import HEAD, Record, parse
+from .records import HEAD, Record, parse_record
 from .writer import Contents
 
 NAME = "bodylog"
@@ -30,7 +30,7 @@ class Prefix:
     contents: Contents
 
 
-class _Part(NamedTuple):
+class _DataRecord(NamedTuple):
     """One record of the data section; `channels` are those it refers to, None if it refers to none."""
 
     opcode: int
@@ -60,15 +60,15 @@ def _reusable_prefix(file: RecordFile, root: str | None) -> Prefix:
     summary: dict[int, list[tuple[Record, bytes]]] = {}
     for record, raw in records:
         summary.setdefault(record.opcode, []).append((record, raw))
-    if root is not None and any(map(no_utf8, _named(file, start, [one for one, _ in records]))):
+    if root is not None and any(map(no_utf8, _records_with_names(file, start, [one for one, _ in records]))):
         raise FormatError("a name in it is not UTF-8")
-    file.prefetch(_heads(summary))
-    parts = _parts(file.heads(start), summary)
-    ours = _ours(summary, root)
+    file.prefetch(_located_heads(summary))
+    parts = _data_section_records(file.heads(start), summary)
+    ours = _own_channels(summary, root)
     foreign = {r.fields["offset"] for r, _ in summary.get(op.METADATA_INDEX, []) if r.fields["name"] != NAME}
-    cut = _cut(parts, ours, foreign)
-    contents = _contents(summary, [p for p in parts if p.start < cut], ours)
-    return Prefix(cut, _crc(file, cut, parts[-1].start), contents)
+    cut = _find_cut(parts, ours, foreign)
+    contents = _kept_contents(summary, [p for p in parts if p.start < cut], ours)
+    return Prefix(cut, _kept_bytes_crc(file, cut, parts[-1].start), contents)
 
 
 def no_utf8(record: Record) -> bool:
@@ -77,7 +77,7 @@ def no_utf8(record: Record) -> bool:
     return any(isinstance(text, str) and "\ufffd" in text for texts in values for text in texts)
 
 
-def _named(file: RecordFile, end: int, summary: list[Record]) -> Iterator[Record]:
+def _records_with_names(file: RecordFile, end: int, summary: list[Record]) -> Iterator[Record]:
     """The records that hold names: header, repeated records of the summary, and metadata other than bodylog's."""
     first = next(file.heads(end), None)
     if first is not None and first.opcode == op.HEADER:
@@ -87,10 +87,10 @@ def _named(file: RecordFile, end: int, summary: list[Record]) -> Iterator[Record
         fields = record.fields
         if record.opcode == op.METADATA_INDEX and fields["name"] != NAME:
             raw = memoryview(file.read(fields["offset"], fields["length"]))
-            yield parse(op.METADATA, raw[HEAD.size :], fields["offset"])
+            yield parse_record(op.METADATA, raw[HEAD.size :], fields["offset"])
 
 
-def _heads(summary: _Summary) -> Iterator[tuple[int, int]]:
+def _located_heads(summary: _Summary) -> Iterator[tuple[int, int]]:
     """Where (byte, size) the summary locates record heads between long contents."""
     for record, _ in summary.get(op.CHUNK_INDEX, []):
         fields = record.fields
@@ -98,56 +98,56 @@ def _heads(summary: _Summary) -> Iterator[tuple[int, int]]:
         yield fields["chunk_start_offset"] + fields["chunk_length"], fields["message_index_length"] + 1
 
 
-def _parts(heads: Iterable[Head], summary: _Summary) -> list[_Part]:
+def _data_section_records(heads: Iterable[Head], summary: _Summary) -> list[_DataRecord]:
     """The data section's records, each as the summary describes it; FormatError where the two disagree."""
     chunks = [r.fields for r, _ in summary.get(op.CHUNK_INDEX, [])]
-    indexed = {fields["chunk_start_offset"]: _set(tuple(fields["message_index_offsets"])) for fields in chunks}
-    parts = [_part(head, indexed) for head in heads]
-    _agree([p.start for p in parts if p.opcode == op.CHUNK], list(indexed), "chunks")
+    indexed = {fields["chunk_start_offset"]: _shared_channel_set(tuple(fields["message_index_offsets"])) for fields in chunks}
+    parts = [_describe_data_record(head, indexed) for head in heads]
+    _require_agreement([p.start for p in parts if p.opcode == op.CHUNK], list(indexed), "chunks")
     found = [(c, p.start) for p in parts if p.opcode == op.MESSAGE_INDEX for c in p.channels or ()]
-    _agree(found, [pair for fields in chunks for pair in fields["message_index_offsets"].items()], "message indexes")
+    _require_agreement(found, [pair for fields in chunks for pair in fields["message_index_offsets"].items()], "message indexes")
     for opcode, index in ((op.ATTACHMENT, op.ATTACHMENT_INDEX), (op.METADATA, op.METADATA_INDEX)):
         listed = [r.fields["offset"] for r, _ in summary.get(index, [])]
-        _agree([p.start for p in parts if p.opcode == opcode], listed, "attachments or metadata")
+        _require_agreement([p.start for p in parts if p.opcode == opcode], listed, "attachments or metadata")
     if not parts or parts[-1].opcode != op.DATA_END:
         raise FormatError("the summary does not follow the end of the data")
     return parts
 
 
-def _part(head: Head, indexed: Mapping[int, frozenset[int]]) -> _Part:
+def _describe_data_record(head: Head, indexed: Mapping[int, frozenset[int]]) -> _DataRecord:
     if head.opcode == op.MESSAGE:
         raise FormatError("there are messages outside chunks")
     if head.opcode == op.CHUNK:
         channels = indexed.get(head.start)
         if not channels:
             raise FormatError(f"the chunk at byte {head.start} has no message index")
-        return _Part(op.CHUNK, head.start, channels)
+        return _DataRecord(op.CHUNK, head.start, channels)
     if head.opcode not in (op.MESSAGE_INDEX, op.CHANNEL):
-        return _Part(head.opcode, head.start)
-    channel = _set((int.from_bytes(head.first[:2], "little"),))
+        return _DataRecord(head.opcode, head.start)
+    channel = _shared_channel_set((int.from_bytes(head.first[:2], "little"),))
     size = int.from_bytes(head.first[2:], "little") if head.opcode == op.MESSAGE_INDEX else 0
     if size > max(head.size - _INDEX_HEAD, 0):
         raise FormatError(f"the message index at byte {head.start} is longer than its record")
-    return _Part(head.opcode, head.start, channel, size // _INDEX_ENTRY)
+    return _DataRecord(head.opcode, head.start, channel, size // _INDEX_ENTRY)
 
 
 @lru_cache
-def _set(channels: tuple[int, ...]) -> frozenset[int]:
+def _shared_channel_set(channels: tuple[int, ...]) -> frozenset[int]:
     """One shared object for equal channel sets: a long log has very many records."""
     return frozenset(channels)
 
 
-def _agree(found: list[Any], listed: list[Any], what: str) -> None:
+def _require_agreement(found: list[Any], listed: list[Any], what: str) -> None:
     if len(found) != len(listed) or set(found) != set(listed):
         raise FormatError(f"the summary's list of {what} is not what the data hold")
 
 
-def _ours(summary: _Summary, root: str | None) -> frozenset[int]:
+def _own_channels(summary: _Summary, root: str | None) -> frozenset[int]:
     channels = [r.fields for r, _ in summary.get(op.CHANNEL, [])]
     return frozenset(int(c["id"]) for c in channels if root is not None and str(c["topic"]).startswith(root))
 
 
-def _cut(parts: list[_Part], ours: frozenset[int], foreign: set[int]) -> int:
+def _find_cut(parts: list[_DataRecord], ours: frozenset[int], foreign: set[int]) -> int:
     """Where an earlier run's tail begins, at the schemas before its first channel; else at DataEnd."""
     first = next((i for i, p in enumerate(parts) if (p.channels or frozenset()) & ours), len(parts) - 1)
     tail = parts[first:-1]
@@ -158,7 +158,7 @@ def _cut(parts: list[_Part], ours: frozenset[int], foreign: set[int]) -> int:
     return parts[first].start
 
 
-def _crc(file: RecordFile, cut: int, end: int) -> int | None:
+def _kept_bytes_crc(file: RecordFile, cut: int, end: int) -> int | None:
     """The CRC of the kept bytes; None if the file has none."""
     stored = int.from_bytes(file.read(end, 13)[9:], "little")
     if not stored:
@@ -166,7 +166,7 @@ def _crc(file: RecordFile, cut: int, end: int) -> int | None:
     return stored if cut == end else file.crc(cut)
 
 
-def _contents(summary: _Summary, kept: list[_Part], ours: frozenset[int]) -> Contents:
+def _kept_contents(summary: _Summary, kept: list[_DataRecord], ours: frozenset[int]) -> Contents:
     """The summary of the kept parts; FormatError if it lacks something they need."""
     channels = {r.fields["id"]: (r, raw) for r, raw in summary.get(op.CHANNEL, []) if r.fields["id"] not in ours}
     used = {r.fields["schema_id"] for r, _ in channels.values()}
@@ -183,11 +183,11 @@ def _contents(summary: _Summary, kept: list[_Part], ours: frozenset[int]) -> Con
         (op.METADATA_INDEX, "offset", contents.metadata),
     ):
         into += [raw for r, raw in summary.get(opcode, []) if r.fields[place] in places]
-    _count(contents, summary, kept, places)
+    _count_kept_messages(contents, summary, kept, places)
     return contents
 
 
-def _count(contents: Contents, summary: _Summary, kept: list[_Part], places: set[int]) -> None:
+def _count_kept_messages(contents: Contents, summary: _Summary, kept: list[_DataRecord], places: set[int]) -> None:
     """Messages per channel by the message indexes, and the time span of the kept chunks; the statistics must agree."""
     for part in kept:
         if part.opcode == op.MESSAGE_INDEX:

@@ -9,15 +9,15 @@ from ...errors import FormatError
 from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Topic
-from ..storage.mmapped import advise_sequential, check_untruncated, drop_pages, ensure_local, mapped
+from ..storage.mmapped import advise_sequential, check_untruncated, drop_pages, ensure_local, map_file
 from ..storage.packed_files import decompress_messages
-from ..topics import Topics, span, split
-from .chunks import MESSAGE_HEAD, Chunk, LooseRecords, MessageRecords, loose_messages, messages, record_loss
+from ..topics import TopicTable, log_time_span, split_by_topic_id
+from .chunks import MESSAGE_HEAD, Chunk, LooseRecords, MessageRecords, loose_messages, list_chunk_messages, record_loss
 from .prefetch import unpacked_parts
-from .records import HEAD, MAGIC, Record, parse
-from .survey import Survey
+from .records import HEAD, MAGIC, Record, parse_record
+from .survey import McapSurvey
 from .time_ranges import spans_of
-from .uncompressed import runs, together
+from .uncompressed import group_uncompressed_chunks, read_uncompressed_run
 
 
 class McapLog:
@@ -27,14 +27,14 @@ class McapLog:
 
     def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
         """Map `source` (default: `path`) and survey it; LogError when strict and something is lost."""
-        from .scan import survey_of
+        from .scan import survey_mcap
 
         self.path = path
         self._diagnostics = Diagnostics(path, strict, limits)
-        self._data = mapped(source or path)
-        self.survey = survey_of(self._data, self._diagnostics)
-        self.topics, self._topic_of = _topics(self.survey, self._diagnostics)
-        self.start_ns, self.end_ns = span(self.survey.times, self._diagnostics)
+        self._data = map_file(source or path)
+        self.survey = survey_mcap(self._data, self._diagnostics)
+        self.topics, self._topic_of = _topics_by_channel(self.survey, self._diagnostics)
+        self.start_ns, self.end_ns = log_time_span(self.survey.times, self._diagnostics)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -49,16 +49,16 @@ class McapLog:
             known[[number for number in ids if 0 <= number < len(self.topics)]] = True
             topic_of[~known[topic_of]] = -1
         found = self.messages(topic_of >= 0)
-        batches = (batch for content, some in found for batch in _split(content, some, topic_of))
+        batches = (batch for content, some in found for batch in _split_by_topic(content, some, topic_of))
         yield from decompress_messages(batches, self.topics, self._diagnostics)
 
     def messages(self, wanted: Array | None = None) -> Iterator[tuple[Array, MessageRecords]]:
         """The bytes of each chunk and the messages in them; chunks without a channel `wanted` (65536,) are skipped."""
         done, channels = 0, None if wanted is None else frozenset(np.flatnonzero(wanted).tolist())
-        parts = [part for part in self.survey.parts if _holds(part, channels)]
+        parts = [part for part in self.survey.parts if _may_hold_channels(part, channels)]
         alone = 2 * len(parts) < len(self.survey.parts)
-        for some in runs(parts):
-            found = together(self._data, some, alone)
+        for some in group_uncompressed_chunks(parts):
+            found = read_uncompressed_run(self._data, some, alone)
             if found is None:
                 yield from self._one_by_one(some, alone)
                 continue
@@ -80,7 +80,7 @@ class McapLog:
             if isinstance(content, FormatError):
                 record_loss(self._data, part, content, self._diagnostics)
             elif content is not None:
-                yield content, messages(content, self._data, part, self._diagnostics)
+                yield content, list_chunk_messages(content, self._data, part, self._diagnostics)
             drop_pages(self._data, done, part.start + part.length)  # and the pages touched since the last chunk
             done = part.start + part.length
 
@@ -90,12 +90,12 @@ class McapLog:
 
     def records(self, opcode: int) -> Iterator[Record]:
         """The sound records of that opcode outside chunks."""
-        from .resync import sound_records
+        from .resync import iterate_sound_records
 
         ensure_local(self._data, 0, len(self._data))
-        for found, at, length in sound_records(self._data, len(MAGIC), len(self._data), (), lambda _at, _size: None):
+        for found, at, length in iterate_sound_records(self._data, len(MAGIC), len(self._data), (), lambda _at, _size: None):
             if found == opcode:
-                yield parse(opcode, self._data[at + HEAD.size : at + HEAD.size + length], at)
+                yield parse_record(opcode, self._data[at + HEAD.size : at + HEAD.size + length], at)
 
     def close(self) -> None:
         """Close the file; batches still held keep their bytes."""
@@ -112,16 +112,16 @@ class McapLog:
         check_untruncated(data, self.path, problem)
 
 
-def _holds(part: Chunk | LooseRecords, wanted: frozenset[int] | None) -> bool:
+def _may_hold_channels(part: Chunk | LooseRecords, wanted: frozenset[int] | None) -> bool:
     """Whether the part may hold messages of the channels `wanted`."""
     if wanted is None or isinstance(part, LooseRecords) or not part.listed or not part.indexes:
         return True
     return not wanted.isdisjoint(part.indexes)
 
 
-def _topics(survey: Survey, diagnostics: Diagnostics) -> tuple[tuple[Topic, ...], Array]:
+def _topics_by_channel(survey: McapSurvey, diagnostics: Diagnostics) -> tuple[tuple[Topic, ...], Array]:
     """The topics, and a table (65536,) from channel id to topic id, -1 for undeclared channels."""
-    topics, topic_of = Topics(), np.full(1 << 16, -1, np.int64)
+    topics, topic_of = TopicTable(), np.full(1 << 16, -1, np.int64)
     for channel, record in survey.channels.items():
         fields = record.fields
         schema = survey.schemas.get(fields["schema_id"])
@@ -139,8 +139,8 @@ def _topics(survey: Survey, diagnostics: Diagnostics) -> tuple[tuple[Topic, ...]
     return topics.all(), topic_of
 
 
-def _split(content: Array, found: MessageRecords, topic_of: Array) -> Iterator[Batch]:
+def _split_by_topic(content: Array, found: MessageRecords, topic_of: Array) -> Iterator[Batch]:
     heads = found.heads
     offset = found.starts + MESSAGE_HEAD.itemsize
     length = heads["size"] - (MESSAGE_HEAD.itemsize - HEAD.size)
-    return split(topic_of[heads["channel"]], heads["log"], content, offset, length)
+    return split_by_topic_id(topic_of[heads["channel"]], heads["log"], content, offset, length)

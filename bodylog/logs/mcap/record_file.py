@@ -9,7 +9,7 @@ from isal.isal_zlib import crc32
 
 from ...errors import FormatError
 from . import opcodes as op
-from .records import HEAD, MAGIC, Record, iter_records, parse
+from .records import HEAD, MAGIC, Record, iter_records, parse_record
 
 _WINDOW = 4096
 _FIRST = 6
@@ -68,7 +68,7 @@ class RecordFile:
 
     def fields(self, head: Head) -> Record:
         """Read and parse a whole record."""
-        return parse(head.opcode, memoryview(self.record(head))[HEAD.size :], head.start)
+        return parse_record(head.opcode, memoryview(self.record(head))[HEAD.size :], head.start)
 
     def heads(self, end: int) -> Iterator[Head]:
         """The records from the magic to byte `end`; FormatError where one extends past it."""
@@ -91,7 +91,7 @@ class RecordFile:
         tail = self.read(max(foot, 0), min(_FOOTER, self.size))
         if foot < len(MAGIC) or tail[-len(MAGIC) :] != MAGIC or tail[0] != op.FOOTER:
             raise FormatError("the file does not end in a footer")
-        fields = parse(op.FOOTER, memoryview(tail)[HEAD.size : -len(MAGIC)]).fields
+        fields = parse_record(op.FOOTER, memoryview(tail)[HEAD.size : -len(MAGIC)]).fields
         start = int(fields["summary_start"])
         if not len(MAGIC) <= start < foot:
             raise FormatError("there is no summary")
@@ -100,7 +100,7 @@ class RecordFile:
             raise FormatError("the summary's CRC fails")
         view = memoryview(raw)
         records = [
-            (parse(op, view[at : at + size], start + at - HEAD.size), raw[at - HEAD.size : at + size])
+            (parse_record(op, view[at : at + size], start + at - HEAD.size), raw[at - HEAD.size : at + size])
             for op, at, size in iter_records(view, 0, len(raw))
         ]
         return start, records

@@ -52,7 +52,7 @@ _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 _OFFSET = struct.Struct("<HQ")
 
 
-def _plan(fields: str) -> tuple[tuple[str, tuple[str, ...], struct.Struct], ...]:
+def _plan_record_fields(fields: str) -> tuple[tuple[str, tuple[str, ...], struct.Struct], ...]:
     """Fields in order as (kind, names, struct); adjacent numbers are read at once."""
     steps: list[tuple[str, tuple[str, ...], str]] = []
     for name, kind in (field.split(":") for field in fields.split()):
@@ -63,7 +63,7 @@ def _plan(fields: str) -> tuple[tuple[str, tuple[str, ...], struct.Struct], ...]
     return tuple((kind, names, struct.Struct(codes)) for kind, names, codes in steps)
 
 
-_PLANS = {opcode: _plan(fields) for opcode, (_, fields) in FIELDS.items()}
+_PLANS = {opcode: _plan_record_fields(fields) for opcode, (_, fields) in FIELDS.items()}
 
 
 class Record(NamedTuple):
@@ -104,10 +104,10 @@ class _Reader:
             return str(content, "utf-8", "replace")
         if kind == "bytes":
             return bytes(content)
-        return _texts(content) if kind == "texts" else _offsets(content)
+        return _read_string_map(content) if kind == "texts" else _read_offset_map(content)
 
 
-def _texts(content: memoryview) -> dict[str, str]:
+def _read_string_map(content: memoryview) -> dict[str, str]:
     inner, texts = _Reader(content), {}
     while inner._at < len(content):
         name = inner.read("str")
@@ -115,7 +115,7 @@ def _texts(content: memoryview) -> dict[str, str]:
     return texts
 
 
-def _offsets(content: memoryview) -> dict[int, int]:
+def _read_offset_map(content: memoryview) -> dict[int, int]:
     if len(content) % _OFFSET.size:
         raise FormatError(f"a table of {len(content)} bytes whose rows take {_OFFSET.size}")
     return dict(_OFFSET.iter_unpack(content))
@@ -130,7 +130,7 @@ def is_mcap(path: Path) -> bool:
         return False
 
 
-def parse(opcode: int, body: memoryview, start: int = 0) -> Record:
+def parse_record(opcode: int, body: memoryview, start: int = 0) -> Record:
     """Parse the record in `body`; FormatError when an inner length contradicts it."""
     reader = _Reader(body)
     fields: dict[str, Any] = {}

@@ -9,8 +9,8 @@ from ..records import Array
 from ..storage.compression import NAMES
 from ..storage.mmapped import drop_pages, is_zero
 from . import opcodes as op
-from .chunks import CHUNK_HEAD, MESSAGE_HEAD, chunk_head, following, heads_of
-from .records import FIELDS, HEAD, parse
+from .chunks import CHUNK_HEAD, MESSAGE_HEAD, chunk_head, follow_messages, heads_of
+from .records import FIELDS, HEAD, parse_record
 
 _WINDOW = 1 << 20
 _AHEAD = 64 << 20
@@ -29,7 +29,7 @@ Many = Callable[[Array, int], bool]
 """Takes or declines consecutive messages: where they start (n,) and where they end."""
 
 
-def sound_records(
+def iterate_sound_records(
     data: memoryview, start: int, end: int, channels: Collection[int], lost: Callable[[int, int], None],
     many: Many = lambda _starts, _end: False,
 ) -> Iterator[Found]:  # fmt: skip
@@ -41,7 +41,7 @@ def sound_records(
     held: Found | None = None
     while at < end:
         if at >= singly and data[at] == op.MESSAGE:
-            starts, singly = following(data, at, end)
+            starts, singly = follow_messages(data, at, end)
             if len(starts) > _FEW:
                 if held:
                     yield held
@@ -49,7 +49,7 @@ def sound_records(
                 # The last one's length may be wrong; the next record shows it.
                 at = int(starts[-1]) if many(starts[:-1], int(starts[-1])) else at
         opcode, length = HEAD.unpack_from(data, at) if end - at >= HEAD.size else (0, 0)
-        if (opcode == op.MESSAGE and _SHORTEST <= length <= end - at - HEAD.size) or _plausible(data, at, end):
+        if (opcode == op.MESSAGE and _SHORTEST <= length <= end - at - HEAD.size) or _is_plausible_record(data, at, end):
             if held:
                 yield held
             held = (opcode, at, length)
@@ -59,9 +59,9 @@ def sound_records(
                 break
             continue
         if chunked is None:
-            chunked = _chunked(data, at, min(end, at + _AHEAD))
+            chunked = _chunks_follow(data, at, min(end, at + _AHEAD))
         low = at if held is None or held[0] == op.CHUNK else held[1] + 1
-        found = resync(data, low, end, *_search_targets(chunked, channels))
+        found = find_next_record(data, low, end, *_search_targets(chunked, channels))
         begin = at
         if held and found is not None and found < at:  # the length of the record before was wrong
             begin = held[1]
@@ -74,7 +74,7 @@ def sound_records(
         yield held
 
 
-def _chunked(data: memoryview, start: int, end: int) -> bool:
+def _chunks_follow(data: memoryview, start: int, end: int) -> bool:
     """Whether chunks and their indexes follow a damage, even if the file ends inside the first of them."""
     if _chunk_like(data, start):
         return True
@@ -85,7 +85,7 @@ def _chunked(data: memoryview, start: int, end: int) -> bool:
         likely = (heads["opcode"] == op.CHUNK) & (heads["size"] >= _CHUNK_FIXED) & (heads["size"] < _LARGEST)
         if any(_chunk_like(data, low + int(at)) for at in np.flatnonzero(likely)):
             return True
-    return resync(data, start, end, _IN_CHUNKED, ()) is not None
+    return find_next_record(data, start, end, _IN_CHUNKED, ()) is not None
 
 
 def _chunk_like(data: memoryview, at: int) -> bool:
@@ -111,7 +111,7 @@ def _search_targets(chunked: bool, channels: Collection[int]) -> tuple[Collectio
     return ((*_IN_CHUNKED, op.DATA_END), ()) if chunked else ((op.SCHEMA, op.CHANNEL, op.DATA_END), channels)
 
 
-def _plausible(data: memoryview, at: int, end: int) -> bool:
+def _is_plausible_record(data: memoryview, at: int, end: int) -> bool:
     if end - at < HEAD.size:
         return False
     opcode, length = HEAD.unpack_from(data, at)
@@ -125,13 +125,13 @@ def _plausible(data: memoryview, at: int, end: int) -> bool:
         if opcode == op.CHUNK:
             chunk_head(data, at)
         elif opcode in FIELDS:
-            parse(opcode, data[at + HEAD.size : at + HEAD.size + length])
+            parse_record(opcode, data[at + HEAD.size : at + HEAD.size + length])
     except FormatError:
         return False
     return True
 
 
-def resync(data: memoryview, start: int, end: int, opcodes: Collection[int], channels: Collection[int]) -> int | None:
+def find_next_record(data: memoryview, start: int, end: int, opcodes: Collection[int], channels: Collection[int]) -> int | None:
     """The first byte from `start` where such a record, or a message of such a channel, plausibly begins, or None."""
     known = np.zeros(1 << 16, bool)
     known[list(channels)] = True
@@ -139,14 +139,14 @@ def resync(data: memoryview, start: int, end: int, opcodes: Collection[int], cha
         if is_zero(data, low, min(end, low + _WINDOW)):
             continue
         high = min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)
-        for at in _candidates(data[low:high], end - low, list(opcodes), known):
+        for at in _candidate_offsets(data[low:high], end - low, list(opcodes), known):
             if _is_sound(data, low + at, end):
                 return low + at
         drop_pages(data, low, high)
     return None
 
 
-def _candidates(window: memoryview, left: int, opcodes: list[int], known: Array) -> list[int]:
+def _candidate_offsets(window: memoryview, left: int, opcodes: list[int], known: Array) -> list[int]:
     heads = heads_of(window)
     opcode, size = heads["opcode"], heads["size"]
     likely = np.isin(opcode, opcodes) | (opcode == op.MESSAGE) & (size >= _SHORTEST)
@@ -156,11 +156,11 @@ def _candidates(window: memoryview, left: int, opcodes: list[int], known: Array)
 
 def _is_sound(data: memoryview, at: int, end: int) -> bool:
     """Whether a whole record is at `at`, and it is either a consistent chunk or followed by another record."""
-    if not _plausible(data, at, end):
+    if not _is_plausible_record(data, at, end):
         return False
     opcode, length = HEAD.unpack_from(data, at)
     after = at + HEAD.size + length
     if opcode == op.CHUNK:
         *_, compression, packed = chunk_head(data, at)
         return compression in NAMES and length == _CHUNK_FIXED + len(compression) + len(packed)
-    return after == end or (_plausible(data, after, end) and data[after] in FIELDS)
+    return after == end or (_is_plausible_record(data, after, end) and data[after] in FIELDS)

@@ -11,11 +11,11 @@ from ..records import Array
 from ..storage.compression import STORED, Buffer
 from ..storage.mmapped import drop_pages, ensure_local
 from . import opcodes as op
-from .chunks import Chunk, LooseRecords, chunk_head, heads_at, index_of, load, messages, unpack
-from .records import HEAD, MAGIC, iter_records, parse
-from .resync import sound_records
+from .chunks import Chunk, LooseRecords, chunk_head, heads_at, index_of, load_chunk, list_chunk_messages, unpack_chunk
+from .records import HEAD, MAGIC, iter_records, parse_record
+from .resync import iterate_sound_records
 from .summary import Summary, summary_of, use_statistics
-from .survey import Survey
+from .survey import McapSurvey
 
 _BLOCK = 4096
 _BLOCK_BYTES = 16 << 20
@@ -26,61 +26,61 @@ _INDEX_HEAD = 6
 _TIMES = struct.Struct("<QQ")
 
 
-def survey_of(data: memoryview, diagnostics: Diagnostics) -> Survey:
+def survey_mcap(data: memoryview, diagnostics: Diagnostics) -> McapSurvey:
     """Survey the file; damage and contradictions go to the diagnostics."""
     survey = None
     try:
         summary = summary_of(data)
         if summary:
-            survey = _summarised(data, summary, diagnostics)
+            survey = _survey_by_summary(data, summary, diagnostics)
     except FormatError as problem:
         diagnostics.warn(f"the summary is not used: {problem}")
     if survey is None:
-        survey = Survey()
-        last = _scan(data, len(MAGIC), len(data), survey, diagnostics)
+        survey = McapSurvey()
+        last = _scan_mcap_records(data, len(MAGIC), len(data), survey, diagnostics)
         if last == op.DATA_END or (last == op.FOOTER and data[-len(MAGIC) :] != MAGIC):
             diagnostics.warn("the file ends inside its summary or footer; all data come before")
         elif last is None:
             diagnostics.add_loss(
                 len(data), 0, None, None, "the file ends without its footer: data after that are missing"
             )
-        _learn(data, survey, diagnostics)
+        _count_chunk_messages(data, survey, diagnostics)
     for channel in survey.counts.keys() - survey.channels.keys():
         diagnostics.add_loss(-channel - 1, 0, survey.counts[channel], None, f"no record declares channel {channel}")
     return survey
 
 
-def _summarised(data: memoryview, summary: Summary, diagnostics: Diagnostics) -> Survey:
-    survey, at = Survey(), len(MAGIC)
+def _survey_by_summary(data: memoryview, summary: Summary, diagnostics: Diagnostics) -> McapSurvey:
+    survey, at = McapSurvey(), len(MAGIC)
     for record in summary.records:
         if record.opcode in (op.SCHEMA, op.CHANNEL):
             survey.declare(record)
     for chunk, end in summary.chunks:
         if at != chunk.start:
-            _scan(data, at, chunk.start, survey, diagnostics)
+            _scan_mcap_records(data, at, chunk.start, survey, diagnostics)
         survey.parts.append(chunk)
         at = end
-    _scan(data, at, summary.start, survey, diagnostics)
+    _scan_mcap_records(data, at, summary.start, survey, diagnostics)
     if not use_statistics(summary, survey, diagnostics):
-        _learn(data, survey, diagnostics)
+        _count_chunk_messages(data, survey, diagnostics)
     return survey
 
 
-def _scan(data: memoryview, start: int, end: int, survey: Survey, diagnostics: Diagnostics) -> int | None:
+def _scan_mcap_records(data: memoryview, start: int, end: int, survey: McapSurvey, diagnostics: Diagnostics) -> int | None:
     """Survey the records between two bytes; returns FOOTER or DATA_END if met, CHUNK if the file is truncated."""
     if start == end:
         return None
     ensure_local(data, start, end)
-    run, ended, unsummarised = _Run(data, survey, start, diagnostics), None, end == len(data)
+    run, ended, unsummarised = _LooseRun(data, survey, start, diagnostics), None, end == len(data)
 
     def lost(at: int, size: int) -> None:
         run.close(at + size)
         if ended:
             diagnostics.warn(f"{size} bytes from byte {at}, after the end of the data, are damaged")
             return
-        cut = _cut(data, at) if at + size == len(data) else None
+        cut = _find_truncated_chunk(data, at) if at + size == len(data) else None
         if cut is None:
-            diagnostics.add_loss(at, size, None, _seconds(data, at), "no whole record can be read there")
+            diagnostics.add_loss(at, size, None, _truncated_chunk_duration(data, at), "no whole record can be read there")
         else:
             why = f"the file ends in this chunk, after {size} bytes, which are read without their checksum"
             diagnostics.add_loss(at, None, None, None, why)
@@ -96,14 +96,14 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, diagnostics: D
         run.extend(starts, after)
         return True
 
-    for opcode, at, length in sound_records(data, start, end, survey.channels.keys(), lost, many):
+    for opcode, at, length in iterate_sound_records(data, start, end, survey.channels.keys(), lost, many):
         ended = opcode if opcode in (op.FOOTER, op.DATA_END) else ended
         if opcode == op.MESSAGE and unsummarised and (at == len(MAGIC) or not run.credible(at, length)):
             lost(at, HEAD.size + length)
         elif opcode == op.MESSAGE:
             run.add(at, at + HEAD.size + length)
         elif opcode in (op.SCHEMA, op.CHANNEL):
-            survey.declare(parse(opcode, data[at + HEAD.size : at + HEAD.size + length], at))
+            survey.declare(parse_record(opcode, data[at + HEAD.size : at + HEAD.size + length], at))
         elif opcode == op.CHUNK:
             run.close(at + HEAD.size + length)
             first, last, _, _, compression, _ = chunk_head(data, at)
@@ -114,10 +114,10 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, diagnostics: D
     return ended or (op.CHUNK if run.is_cut else None)
 
 
-class _Run:
+class _LooseRun:
     """Consecutive messages outside chunks."""
 
-    def __init__(self, data: memoryview, survey: Survey, start: int, diagnostics: Diagnostics) -> None:
+    def __init__(self, data: memoryview, survey: McapSurvey, start: int, diagnostics: Diagnostics) -> None:
         self._data = data
         self._diagnostics = diagnostics
         self._survey = survey
@@ -186,7 +186,7 @@ class _Run:
         drop_pages(self._data, int(starts[0]), self._end)
 
 
-def _learn(data: memoryview, survey: Survey, diagnostics: Diagnostics) -> None:
+def _count_chunk_messages(data: memoryview, survey: McapSurvey, diagnostics: Diagnostics) -> None:
     """Count the messages of every chunk: by its indexes if all channels are known, else by opening it."""
     buffer, unopened = Buffer(diagnostics.path, diagnostics.limits), []
     for chunk in [part for part in survey.parts if isinstance(part, Chunk)]:
@@ -196,10 +196,10 @@ def _learn(data: memoryview, survey: Survey, diagnostics: Diagnostics) -> None:
                 survey.count(np.full(len(times), channel), times)
             unopened.append(chunk)
             continue
-        content = load(data, chunk, buffer, diagnostics)
+        content = load_chunk(data, chunk, buffer, diagnostics)
         if content is not None:
-            _declare(content.data, survey)
-            heads = messages(content, data, chunk, diagnostics).heads
+            _declare_channels(content.data, survey)
+            heads = list_chunk_messages(content, data, chunk, diagnostics).heads
             survey.count(heads["channel"], heads["log"])
             if chunk.cut and len(heads):
                 diagnostics.set_duration(chunk.start, max(0, chunk.end_ns - int(heads["log"].max())) / 1e9)
@@ -207,33 +207,33 @@ def _learn(data: memoryview, survey: Survey, diagnostics: Diagnostics) -> None:
     for chunk in unopened:  # a chunk may hold a schema but no message of it
         if survey.knows(survey.counts):
             return
-        content = load(data, chunk, buffer, diagnostics)
+        content = load_chunk(data, chunk, buffer, diagnostics)
         if content is not None:
-            _declare(content.data, survey)
+            _declare_channels(content.data, survey)
         drop_pages(data, chunk.start, chunk.start + chunk.length)
 
 
-def _declare(content: memoryview, survey: Survey) -> None:
+def _declare_channels(content: memoryview, survey: McapSurvey) -> None:
     try:
         for opcode, at, length in iter_records(content, 0, len(content)):
             if opcode in (op.SCHEMA, op.CHANNEL):
-                survey.declare(parse(opcode, content[at : at + length], at))
+                survey.declare(parse_record(opcode, content[at : at + length], at))
     except FormatError:
         return  # messages() reads the same records and reports where they end
 
 
-def _cut(data: memoryview, at: int) -> Chunk | None:
+def _find_truncated_chunk(data: memoryview, at: int) -> Chunk | None:
     """The chunk at byte `at` in which the file ends, if there is one with at least one message."""
     try:
         first, last, *_ = chunk_head(data, at, cut=True)
         chunk = Chunk(at, len(data) - at, first, last, cut=True)
-        content = unpack(data, chunk, Buffer())
+        content = unpack_chunk(data, chunk, Buffer())
     except FormatError:
         return None
-    return chunk if len(messages(content, data, chunk, Diagnostics(Path())).starts) else None
+    return chunk if len(list_chunk_messages(content, data, chunk, Diagnostics(Path())).starts) else None
 
 
-def _seconds(data: memoryview, at: int) -> float | None:
+def _truncated_chunk_duration(data: memoryview, at: int) -> float | None:
     """Duration of the truncated chunk at `at` by its header, if that is complete."""
     if len(data) - at < HEAD.size + 16 or data[at] != op.CHUNK:
         return None

@@ -12,8 +12,8 @@ from ..storage.compression import STORED
 from ..storage.mmapped import advise_sequential, ensure_local
 from . import opcodes as op
 from .chunks import Chunk
-from .records import FIELDS, HEAD, MAGIC, Record, iter_records, parse
-from .survey import Survey
+from .records import FIELDS, HEAD, MAGIC, Record, iter_records, parse_record
+from .survey import McapSurvey
 
 _FOOTER = HEAD.size + 20
 _INDEX_HEAD, _INDEX_TAIL, _OFFSET = struct.Struct("<QQQQI"), struct.Struct("<QI"), struct.Struct("<HQ")
@@ -38,10 +38,10 @@ def footer_of(data: memoryview) -> Record | None:
     start = len(data) - len(MAGIC) - _FOOTER
     if start < len(MAGIC) or data[-len(MAGIC) :] != MAGIC or HEAD.unpack_from(data, start) != (op.FOOTER, 20):
         return None
-    return parse(op.FOOTER, data[start + HEAD.size : start + _FOOTER], start)
+    return parse_record(op.FOOTER, data[start + HEAD.size : start + _FOOTER], start)
 
 
-def section(data: memoryview) -> tuple[int, int] | None:
+def find_summary_section(data: memoryview) -> tuple[int, int] | None:
     """Start and end of the summary section; None without one, FormatError when its CRC fails."""
     footer = footer_of(data)
     if footer is None or not footer.fields["summary_start"]:
@@ -60,33 +60,33 @@ def records_of(data: memoryview, start: int, end: int) -> Iterator[Record]:
     """The summary section's records; FormatError where it is damaged."""
     for opcode, at, size in iter_records(data, start, end):
         if opcode in FIELDS:
-            yield parse(opcode, data[at : at + size], at - HEAD.size)
+            yield parse_record(opcode, data[at : at + size], at - HEAD.size)
 
 
 def summary_of(data: memoryview) -> Summary | None:
     """Parse the summary; None without one, FormatError when it is damaged or lists chunks that do not exist."""
-    place = section(data)
-    summary = _summary(data, *place) if place else None
+    place = find_summary_section(data)
+    summary = _read_summary_records(data, *place) if place else None
     if summary is None or not (summary.records or summary.chunks):
         return None
-    _fit(data, summary)
+    _require_chunks_fit(data, summary)
     return summary
 
 
-def _summary(data: memoryview, start: int, end: int) -> Summary:
+def _read_summary_records(data: memoryview, start: int, end: int) -> Summary:
     records, chunks, indexed = [], [], 0
     for opcode, at, size in iter_records(data, start, end):
         if opcode == op.CHUNK_INDEX:
-            chunk, after = _chunk(data, at, at + size)
+            chunk, after = _read_chunk_index(data, at, at + size)
             chunks.append((chunk, chunk.start + chunk.length + after))
             # Computed from their declared length: 15 bytes each and 16 per message.
             indexed += (after - 15 * len(chunk.indexes)) // 16
         elif opcode in FIELDS:
-            records.append(parse(opcode, data[at : at + size], at - HEAD.size))
+            records.append(parse_record(opcode, data[at : at + size], at - HEAD.size))
     return Summary(start, records, sorted(chunks, key=lambda pair: pair[0].start), indexed)
 
 
-def _fit(data: memoryview, summary: Summary) -> None:
+def _require_chunks_fit(data: memoryview, summary: Summary) -> None:
     """FormatError when a chunk is not where the summary places it, or two overlap."""
     starts = [*(chunk.start for chunk, _ in summary.chunks[1:]), summary.start]
     for (chunk, end), following in zip(summary.chunks, starts, strict=False):
@@ -99,10 +99,10 @@ def _fit(data: memoryview, summary: Summary) -> None:
             raise FormatError(f"there is no chunk of {chunk.length} bytes at byte {chunk.start}")
 
 
-def _chunk(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
+def _read_chunk_index(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
     """The chunk that the ChunkIndex between two bytes describes, and the length of its message indexes.
 
-    Equivalent to `records.parse`, but faster: a long log has so many that they determine how long it takes to open.
+    Equivalent to `records.parse_record`, but faster: a long log has so many that they determine how long it takes to open.
     """
     if (left := end - at - _INDEX_HEAD.size - _INDEX_TAIL.size) < 0:
         raise FormatError(f"byte {at}: a chunk index of {end - at} bytes")
@@ -118,7 +118,7 @@ def _chunk(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
     return Chunk(start, length, first, last, dict(_OFFSET.iter_unpack(data[at : at + table])), True, stored), after
 
 
-def use_statistics(summary: Summary, survey: Survey, diagnostics: Diagnostics) -> bool:
+def use_statistics(summary: Summary, survey: McapSurvey, diagnostics: Diagnostics) -> bool:
     """Take counts and times from Statistics if they agree with indexes and channels; else change nothing."""
     statistics = next((record.fields for record in summary.records if record.opcode == op.STATISTICS), None)
     if statistics is None:

@@ -12,7 +12,7 @@ from .records import Record
 
 
 @dataclass
-class Survey:
+class McapSurvey:
     """Schemas, channels and message counts by id, parts in file order, log times (ns)."""
 
     schemas: dict[int, Record] = field(default_factory=dict)

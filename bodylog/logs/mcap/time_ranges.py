@@ -20,11 +20,11 @@ def spans_of(data: memoryview, parts: Sequence[Chunk | LooseRecords], topic_of: 
     for channel, at in first.items():
         starts, ends = index_of(data, at)[:, 0], index_of(data, last[channel])[:, 0]
         if len(starts) and len(ends):
-            widen(spans, int(topic_of[channel]), (int(starts.min()), int(ends.max())))
+            widen_time_span(spans, int(topic_of[channel]), (int(starts.min()), int(ends.max())))
     return spans
 
 
-def widen(spans: dict[int, tuple[int, int]], topic: int, span: tuple[int, int]) -> None:
+def widen_time_span(spans: dict[int, tuple[int, int]], topic: int, span: tuple[int, int]) -> None:
     """Widen a topic's time span by another."""
     low, high = spans.get(topic, span)
     spans[topic] = min(low, span[0]), max(high, span[1])

@@ -11,12 +11,12 @@ from ...errors import FormatError
 from ..records import Array
 from ..storage.compression import STORED
 from ..storage.mmapped import advise_sequential
-from .chunks import Chunk, LooseRecords, MessageRecords, chunk_head, indexed, records_at
+from .chunks import Chunk, LooseRecords, MessageRecords, chunk_head, list_indexed_messages, records_at
 
 _TOGETHER = 16 << 20
 
 
-def runs(parts: Sequence[Chunk | LooseRecords]) -> Iterator[list[Chunk | LooseRecords]]:
+def group_uncompressed_chunks(parts: Sequence[Chunk | LooseRecords]) -> Iterator[list[Chunk | LooseRecords]]:
     """The parts in order, with uncompressed chunks grouped that begin in the same 16 MB of the file.
 
     The first part is alone, as some callers read only a log's beginning.
@@ -30,7 +30,7 @@ def runs(parts: Sequence[Chunk | LooseRecords]) -> Iterator[list[Chunk | LooseRe
     return (list(some) for _, some in groupby(parts, key))
 
 
-def together(
+def read_uncompressed_run(
     data: memoryview, parts: Sequence[Chunk | LooseRecords], alone: bool
 ) -> tuple[Array, MessageRecords] | None:
     """The file (bytes,) uint8 and all messages in a run of uncompressed chunks.
@@ -43,13 +43,13 @@ def together(
         return None
     for first, last in [(c, c) for c in chunks] if alone else [(chunks[0], chunks[-1])]:
         advise_sequential(data, first.start, last.start + last.length, alone)
-    places = [place for chunk in chunks if (place := _sound(data, chunk))]
+    places = [place for chunk in chunks if (place := _sound_chunk_bounds(data, chunk))]
     whole = np.frombuffer(data, np.uint8)
-    found = indexed(whole, places, data, chunks) if len(places) == len(chunks) else None
+    found = list_indexed_messages(whole, places, data, chunks) if len(places) == len(chunks) else None
     return None if found is None else (whole, found)
 
 
-def _sound(data: memoryview, chunk: Chunk) -> tuple[int, int] | None:
+def _sound_chunk_bounds(data: memoryview, chunk: Chunk) -> tuple[int, int] | None:
     """Where in the file an uncompressed chunk's records are; None when its head or CRC is wrong."""
     with suppress(FormatError):
         _, _, size, crc, compression, packed = chunk_head(data, chunk.start)

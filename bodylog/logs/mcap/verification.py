@@ -6,7 +6,7 @@ from ...errors import FormatError, LogError
 from .prefix import count_messages
 
 
-def verify(beside: Path, expected: int, out: Path) -> None:
+def verify_message_count(beside: Path, expected: int, out: Path) -> None:
     """Open the written file and count its messages by its message indexes."""
     try:
         found = count_messages(beside)

@@ -55,7 +55,7 @@ class _Packed:
     indexes: dict[int, tuple[int, bytes]]
 
 
-class Writer:
+class McapRecordWriter:
     """Appends records to a stream at `position`; crc is that of all bytes before, or None if the file keeps none."""
 
     def __init__(self, stream: BinaryIO, contents: Contents, position: int = 0, crc: int | None = None) -> None:
@@ -66,7 +66,7 @@ class Writer:
 
     def begin(self, profile: str, library: str) -> None:
         """Write the magic and header of a new file."""
-        self.put(MAGIC + mcap.header(profile, library))
+        self.put(MAGIC + mcap.encode_header(profile, library))
 
     def put(self, *parts: bytes | memoryview) -> None:
         """Write raw bytes."""
@@ -80,9 +80,9 @@ class Writer:
         self, name: str, kind: str, encoding: str, definition: bytes, definition_encoding: str, about: Mapping[str, str]
     ) -> int:
         """Declare a topic; returns its channel id. Equal definitions share one schema."""
-        number = _free(self.contents.channels)
+        number = _lowest_free_id(self.contents.channels)
         schema_id = self._schema(kind, definition_encoding, definition) if kind or definition else 0
-        self.contents.channels[number] = mcap.channel(number, schema_id, name, encoding, about)
+        self.contents.channels[number] = mcap.encode_channel(number, schema_id, name, encoding, about)
         self.contents.counts.setdefault(number, 0)
         self.put(self.contents.channels[number])
         return number
@@ -91,11 +91,11 @@ class Writer:
         """Write messages in the given order, as chunks of about 1 MiB each."""
         edges = np.cumsum(table.length + mcap.MESSAGE_HEAD) // CHUNK_BYTES
         cuts = [0, *(np.flatnonzero(np.diff(edges)) + 1).tolist(), len(edges)]
-        parts = (_part(table, slice(first, last)) for first, last in pairwise(cuts) if last > first)
+        parts = (_table_rows(table, slice(first, last)) for first, last in pairwise(cuts) if last > first)
         with ThreadPoolExecutor(2) as pool:
             waiting: deque[Future[_Packed]] = deque()
             for part in parts:
-                waiting.append(pool.submit(_packed, part))
+                waiting.append(pool.submit(_compress_messages, part))
                 if len(waiting) > _AHEAD:
                     self._chunk(waiting.popleft().result())
             while waiting:
@@ -103,7 +103,7 @@ class Writer:
 
     def about(self, name: str, pairs: Mapping[str, str]) -> None:
         """Write a metadata record."""
-        self.keep_metadata(name, mcap.metadata(name, pairs))
+        self.keep_metadata(name, mcap.encode_metadata(name, pairs))
 
     def keep_metadata(self, name: str, record: bytes) -> None:
         """Write a metadata record of another file unchanged."""
@@ -118,11 +118,11 @@ class Writer:
     def finish(self) -> None:
         """Write DataEnd, the summary, its offsets and the footer."""
         self.put(mcap.data_end(self._crc or 0))
-        self._stream.write(_summary(self.contents, self._position))
+        self._stream.write(_encode_summary(self.contents, self._position))
 
     def _schema(self, kind: str, encoding: str, definition: bytes) -> int:
-        number = _free(self.contents.schemas)
-        record = mcap.schema(number, kind, encoding, definition)
+        number = _lowest_free_id(self.contents.schemas)
+        record = mcap.encode_schema(number, kind, encoding, definition)
         known = self._schema_ids.setdefault(record[11:], number)
         if known == number:
             self.contents.schemas[number] = record
@@ -144,28 +144,28 @@ class Writer:
         self.contents.seen(*packed.span)
 
 
-def _packed(table: MessageTable) -> _Packed:
+def _compress_messages(table: MessageTable) -> _Packed:
     import zstandard
 
-    raw, start = mcap.messages(table)
+    raw, start = mcap.encode_messages(table)
     span = int(table.log_ns.min()), int(table.log_ns.max())
     stored, compression = zstandard.ZstdCompressor(_LEVEL).compress(raw.data), "zstd"
     if len(stored) >= _WORTH * raw.size:
         stored, compression = raw.tobytes(), ""
-    head, length = mcap.chunk(*span, raw.size, crc32(raw.data), compression, stored)
+    head, length = mcap.encode_chunk_head(*span, raw.size, crc32(raw.data), compression, stored)
     indexes = {
         number: (len(rows), mcap.message_index(number, table.log_ns[rows], start[rows]))
-        for number, rows in mcap.groups(table.channel)
+        for number, rows in mcap.group_rows(table.channel)
     }
     return _Packed(span, raw.size, compression, stored, head, length, indexes)
 
 
-def _free(taken: Mapping[int, bytes]) -> int:
+def _lowest_free_id(taken: Mapping[int, bytes]) -> int:
     last = max(taken, default=0)
     return last + 1 if last < _MOST else next(n for n in range(1, _MOST + 1) if n not in taken)
 
 
-def _part(table: MessageTable, rows: slice) -> MessageTable:
+def _table_rows(table: MessageTable, rows: slice) -> MessageTable:
     return MessageTable(
         table.channel[rows],
         table.sequence[rows],
@@ -177,11 +177,11 @@ def _part(table: MessageTable, rows: slice) -> MessageTable:
     )
 
 
-def _summary(contents: Contents, start: int) -> bytes:
+def _encode_summary(contents: Contents, start: int) -> bytes:
     groups = [
         (op.SCHEMA, [contents.schemas[number] for number in sorted(contents.schemas)]),
         (op.CHANNEL, [contents.channels[number] for number in sorted(contents.channels)]),
-        (op.STATISTICS, [_statistics(contents)]),
+        (op.STATISTICS, [_summary_statistics(contents)]),
         (op.CHUNK_INDEX, contents.chunks),
         (op.ATTACHMENT_INDEX, contents.attachments),
         (op.METADATA_INDEX, contents.metadata),
@@ -191,13 +191,13 @@ def _summary(contents: Contents, start: int) -> bytes:
         group = b"".join(records)
         if group:
             place = struct.pack("<BQQ", opcode, start + len(body), len(group))
-            offsets += mcap.record(op.SUMMARY_OFFSET, place)
+            offsets += mcap.encode_record(op.SUMMARY_OFFSET, place)
             body += group
     foot = body + offsets + HEAD.pack(op.FOOTER, 20) + struct.pack("<QQ", start, start + len(body))
     return foot + struct.pack("<I", crc32(foot)) + MAGIC
 
 
-def _statistics(contents: Contents) -> bytes:
+def _summary_statistics(contents: Contents) -> bytes:
     numbers = (
         len(contents.schemas),
         len(contents.channels),
@@ -205,4 +205,4 @@ def _statistics(contents: Contents) -> bytes:
         len(contents.metadata),
         len(contents.chunks),
     )
-    return mcap.statistics(contents.counts, numbers, contents.span or (0, 0))
+    return mcap.encode_statistics(contents.counts, numbers, contents.span or (0, 0))

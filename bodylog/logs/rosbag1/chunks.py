@@ -9,7 +9,7 @@ from ...errors import FormatError
 from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import Buffer
-from .records import CHUNK, INDEX, MESSAGE, BagRecord, fields_of, record_at, sound_records
+from .records import CHUNK, INDEX, MESSAGE, BagRecord, fields_of, record_at, iterate_bag_records
 from .truncated import cut_at, decompress_truncated
 
 _VARY = ((b"conn=", 4), (b"time=", 8))
@@ -51,7 +51,7 @@ class BagMessages(NamedTuple):
     starts: Array
 
 
-def load(
+def load_bag_chunk(
     data: memoryview, chunk: BagChunk, buffer: Buffer, diagnostics: Diagnostics
 ) -> tuple[Array, dict[int, Index]] | None:
     """The chunk's records (bytes,) uint8 and the message lists after it; None and a loss when it is damaged."""
@@ -87,11 +87,11 @@ def indexes_at(data: memoryview, at: int) -> dict[int, Index]:
     return indexes
 
 
-def messages(
+def list_bag_messages(
     content: Array, data: memoryview, place: int, indexes: dict[int, Index], diagnostics: Diagnostics
 ) -> BagMessages:
     """All messages of a loaded chunk in order: by its indexes if they are right, else record by record."""
-    found = _indexed(content, data, indexes) if indexes else None
+    found = _list_indexed_bag_messages(content, data, indexes) if indexes else None
     if found is None:
         if indexes:
             diagnostics.warn(f"the index of the chunk at byte {place} is wrong; its records were read one by one")
@@ -99,17 +99,17 @@ def messages(
     return found
 
 
-def _slide(content: Array, width: int) -> Array:
+def _sliding_windows(content: Array, width: int) -> Array:
     """A view (n, width) whose row i holds the bytes from byte i."""
     rows = max(0, len(content) - width + 1)
     return np.ndarray((rows, width), np.uint8, content, 0, (1, 1))
 
 
-def _u32(content: Array, at: Array) -> Array:
-    return _slide(content, 4)[at].view("<u4")[:, 0].astype(np.int64)
+def _read_u32(content: Array, at: Array) -> Array:
+    return _sliding_windows(content, 4)[at].view("<u4")[:, 0].astype(np.int64)
 
 
-def _indexed(content: Array, data: memoryview, indexes: dict[int, Index]) -> BagMessages | None:
+def _list_indexed_bag_messages(content: Array, data: memoryview, indexes: dict[int, Index]) -> BagMessages | None:
     lists = [np.frombuffer(data, "<u4", 3 * count, at)[2::3].astype(np.int64) for at, count in indexes.values()]
     starts = np.concatenate(lists)
     listed = np.repeat(np.array(list(indexes), np.int64), [len(part) for part in lists])
@@ -117,12 +117,12 @@ def _indexed(content: Array, data: memoryview, indexes: dict[int, Index]) -> Bag
         return None
     order = np.argsort(starts, kind="stable")
     starts, listed = starts[order], listed[order]
-    header = _u32(content, starts)
+    header = _read_u32(content, starts)
     offset = starts + 8 + header
     if offset.max() > len(content):
         return None
-    length = _u32(content, offset - 4)
-    if not _tiled(content, starts, offset + length):
+    length = _read_u32(content, offset - 4)
+    if not _records_fill_gaps(content, starts, offset + length):
         return None
     connection, log_ns = np.empty_like(starts), np.empty_like(starts)
     for size in np.unique(header).tolist():
@@ -136,7 +136,7 @@ def _indexed(content: Array, data: memoryview, indexes: dict[int, Index]) -> Bag
 
 def _same_headers(content: Array, at: Array, size: int) -> tuple[Array, Array] | None:
     """Connection and time of message headers that differ in nothing else; None if they differ."""
-    headers = _slide(content, size)[at]
+    headers = _sliding_windows(content, size)[at]
     first = memoryview(headers[0].data)
     try:
         record = BagRecord(MESSAGE, fields_of(first, 0, size), 0, 0, 0)
@@ -156,7 +156,7 @@ def _same_headers(content: Array, at: Array, size: int) -> tuple[Array, Array] |
     return connection, seconds[:, 0] * 10**9 + seconds[:, 1]
 
 
-def _tiled(content: Array, starts: Array, ends: Array) -> bool:
+def _records_fill_gaps(content: Array, starts: Array, ends: Array) -> bool:
     """Whether only whole other records lie between the messages, so that the index misses none."""
     lows, highs = np.concatenate(([0], ends)), np.concatenate((starts, [len(content)]))
     if (lows > highs).any():
@@ -182,7 +182,7 @@ def scan_messages(data: memoryview, start: int, end: int, place: int, diagnostic
         diagnostics.add_loss(place, size, None, None, f"records inside the chunk are damaged from its byte {at}")
 
     rows = []
-    for record in sound_records(data, start, end, lost):
+    for record in iterate_bag_records(data, start, end, lost):
         if record.op == MESSAGE:
             try:
                 row = (record.number(b"conn"), record.time_ns(b"time"), record.body, record.size, record.start)

@@ -9,9 +9,9 @@ from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Topic
 from ..storage.compression import Buffer
-from ..storage.mmapped import check_untruncated, drop_pages, mapped
-from ..topics import Topics, span, split
-from .chunks import BagMessages, BagRun, load, messages, scan_messages
+from ..storage.mmapped import check_untruncated, drop_pages, map_file
+from ..topics import TopicTable, log_time_span, split_by_topic_id
+from .chunks import BagMessages, BagRun, load_bag_chunk, list_bag_messages, scan_messages
 from .survey import BagSurvey
 
 
@@ -22,14 +22,14 @@ class BagLog:
 
     def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
         """Map `source` (default: `path`) and survey it; LogError when strict and something is lost."""
-        from .scan import survey_of
+        from .scan import survey_bag
 
         self.path = path
         self._diagnostics = Diagnostics(path, strict, limits)
-        self._data = mapped(source or path)
-        self._survey = survey_of(self._data, self._diagnostics)
-        self.topics, self._topic_of = _topics(self._survey)
-        self.start_ns, self.end_ns = span(self._survey.times, self._diagnostics)
+        self._data = map_file(source or path)
+        self._survey = survey_bag(self._data, self._diagnostics)
+        self.topics, self._topic_of = _bag_topics(self._survey)
+        self.start_ns, self.end_ns = log_time_span(self._survey.times, self._diagnostics)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -43,15 +43,15 @@ class BagLog:
         for part in self._survey.parts:
             if isinstance(part, BagRun):
                 whole = np.frombuffer(self._data, np.uint8)
-                yield from _split(
+                yield from _split_bag_messages(
                     whole, scan_messages(self._data, part.start, part.end, part.start, self._diagnostics), wanted
                 )
             elif not part.counts or wanted.keys() & part.counts.keys():
-                loaded = load(self._data, part, buffer, self._diagnostics)
+                loaded = load_bag_chunk(self._data, part, buffer, self._diagnostics)
                 if loaded is not None:
                     content, indexes = loaded
-                    yield from _split(
-                        content, messages(content, self._data, part.start, indexes, self._diagnostics), wanted
+                    yield from _split_bag_messages(
+                        content, list_bag_messages(content, self._data, part.start, indexes, self._diagnostics), wanted
                     )
                     drop_pages(self._data, part.start, part.start + len(content))
 
@@ -74,8 +74,8 @@ class BagLog:
         check_untruncated(data, self.path, problem)
 
 
-def _topics(survey: BagSurvey) -> tuple[tuple[Topic, ...], dict[int, int]]:
-    topics, topic_of = Topics(), {}
+def _bag_topics(survey: BagSurvey) -> tuple[tuple[Topic, ...], dict[int, int]]:
+    topics, topic_of = TopicTable(), {}
     for connection, fields in survey.connections.items():
         text = {name.decode(errors="replace"): value.decode(errors="replace") for name, value in fields.items()}
         kept = {name: value for name, value in text.items() if name in ("md5sum", "callerid", "latching")}
@@ -85,7 +85,7 @@ def _topics(survey: BagSurvey) -> tuple[tuple[Topic, ...], dict[int, int]]:
     return topics.all(), topic_of
 
 
-def _split(content: Array, found: BagMessages, wanted: dict[int, int]) -> Iterator[Batch]:
+def _split_bag_messages(content: Array, found: BagMessages, wanted: dict[int, int]) -> Iterator[Batch]:
     known, where = np.unique(found.connection, return_inverse=True)
     topic = np.array([wanted.get(int(one), -1) for one in known], np.int64)[where]
-    return split(topic, found.log_ns, content, found.offset, found.length)
+    return split_by_topic_id(topic, found.log_ns, content, found.offset, found.length)

@@ -75,7 +75,7 @@ def record_at(data: memoryview, at: int, end: int) -> BagRecord:
     return BagRecord(fields[b"op"][0], fields, at, body, length)
 
 
-def sound_records(
+def iterate_bag_records(
     data: memoryview,
     start: int,
     end: int,
@@ -93,7 +93,7 @@ def sound_records(
         except FormatError:
             found = cut(at)
             if found is None:
-                found = _resync(data, at + 1, end)
+                found = _find_next_bag_record(data, at + 1, end)
                 lost(at, found - at)
             at = found
             continue
@@ -103,7 +103,7 @@ def sound_records(
         at = record.end if inside is None else inside
 
 
-def _resync(data: memoryview, start: int, end: int) -> int:
+def _find_next_bag_record(data: memoryview, start: int, end: int) -> int:
     """The first byte from `start` where a whole record begins, or `end`."""
     window = 1 << 20
     for low in range(start, end, window):
@@ -112,7 +112,7 @@ def _resync(data: memoryview, start: int, end: int) -> int:
         text = bytes(data[low : min(end, low + window + _BACK)])
         at = text.find(_OP)
         while at >= 0:
-            found = _begin(data, max(start, low + at - _BACK), low + at, end)
+            found = _record_start(data, max(start, low + at - _BACK), low + at, end)
             if found is not None:
                 return found
             at = text.find(_OP, at + 1)
@@ -120,7 +120,7 @@ def _resync(data: memoryview, start: int, end: int) -> int:
     return end
 
 
-def _begin(data: memoryview, low: int, op: int, end: int) -> int | None:
+def _record_start(data: memoryview, low: int, op: int, end: int) -> int | None:
     """The start of the whole record whose op field is at byte `op`, or None."""
     for at in range(op - 4, low - 1, -1):
         size = _U32.unpack_from(data, at)[0]

@@ -8,29 +8,29 @@ import numpy as np
 from ...errors import FormatError
 from ..diagnostics import Diagnostics
 from ..storage.compression import STORED, Buffer
-from .chunks import BagChunk, BagRun, load, messages, scan_messages
-from .records import BAG_HEADER, CHUNK, CHUNK_INFO, CONNECTION, MAGIC, MESSAGE, BagRecord, record_at, sound_records
+from .chunks import BagChunk, BagRun, load_bag_chunk, list_bag_messages, scan_messages
+from .records import BAG_HEADER, CHUNK, CHUNK_INFO, CONNECTION, MAGIC, MESSAGE, BagRecord, record_at, iterate_bag_records
 from .survey import BagSurvey
 from .truncated import cut_at, decompress_truncated
 
 
-def survey_of(data: memoryview, diagnostics: Diagnostics) -> BagSurvey:
+def survey_bag(data: memoryview, diagnostics: Diagnostics) -> BagSurvey:
     """Survey the bag; damage and contradictions go to the diagnostics."""
     survey = None
     try:
-        survey = _indexed(data, diagnostics)
+        survey = _survey_by_index(data, diagnostics)
     except FormatError as problem:
         diagnostics.warn(f"the bag's index is not used: {problem}")
     if survey is None:
         survey = BagSurvey()
-        _scan(data, survey, diagnostics)
+        _scan_bag_records(data, survey, diagnostics)
     for connection in survey.counts.keys() - survey.connections.keys():
         why = f"no record declares connection {connection}"
         diagnostics.add_loss(-connection - 1, 0, survey.counts[connection], None, why)
     return survey
 
 
-def _indexed(data: memoryview, diagnostics: Diagnostics) -> BagSurvey | None:
+def _survey_by_index(data: memoryview, diagnostics: Diagnostics) -> BagSurvey | None:
     header = record_at(data, len(MAGIC), len(data))
     at = header.number(b"index_pos", 8)
     if header.op != BAG_HEADER or at == 0:
@@ -44,7 +44,7 @@ def _indexed(data: memoryview, diagnostics: Diagnostics) -> BagSurvey | None:
         if record.op == CONNECTION:
             survey.declare(record, data)
         elif record.op == CHUNK_INFO:
-            _announce(data, record, survey)
+            _announce_connection(data, record, survey)
         at = record.end
     declared = header.number(b"conn_count"), header.number(b"chunk_count")
     if declared != (len(survey.connections), len(survey.parts)):
@@ -56,7 +56,7 @@ def _indexed(data: memoryview, diagnostics: Diagnostics) -> BagSurvey | None:
     return survey
 
 
-def _announce(data: memoryview, record: BagRecord, survey: BagSurvey) -> None:
+def _announce_connection(data: memoryview, record: BagRecord, survey: BagSurvey) -> None:
     count = record.number(b"count")
     if record.size < 8 * count:
         raise FormatError(f"byte {record.start}: {record.size} bytes for {count} connections")
@@ -68,29 +68,29 @@ def _announce(data: memoryview, record: BagRecord, survey: BagSurvey) -> None:
         survey.times += [record.time_ns(b"start_time"), record.time_ns(b"end_time")]
 
 
-def _scan(data: memoryview, survey: BagSurvey, diagnostics: Diagnostics) -> None:
+def _scan_bag_records(data: memoryview, survey: BagSurvey, diagnostics: Diagnostics) -> None:
     """Survey all records; chunks are opened for the connections and messages inside."""
 
     def lost(at: int, size: int) -> None:
         diagnostics.add_loss(at, size, None, None, "no whole record can be read there")
 
     def cut(at: int) -> int | None:
-        return _cut(data, at, survey, diagnostics)
+        return _survey_truncated_chunk(data, at, survey, diagnostics)
 
     buffer = Buffer(diagnostics.path, diagnostics.limits)
-    for record in sound_records(data, len(MAGIC), len(data), lost, cut):
+    for record in iterate_bag_records(data, len(MAGIC), len(data), lost, cut):
         try:
             if record.op == CONNECTION:
                 survey.declare(record, data)
             elif record.op == CHUNK:
-                _open(data, BagChunk(record.start, {}), survey, buffer, diagnostics)
+                _survey_chunk_content(data, BagChunk(record.start, {}), survey, buffer, diagnostics)
             elif record.op == MESSAGE:
-                _loose(record, survey)
+                _survey_loose_record(record, survey)
         except FormatError:
             lost(record.start, record.end - record.start)
 
 
-def _cut(data: memoryview, at: int, survey: BagSurvey, diagnostics: Diagnostics) -> int | None:
+def _survey_truncated_chunk(data: memoryview, at: int, survey: BagSurvey, diagnostics: Diagnostics) -> int | None:
     """Survey the rest of a truncated chunk at byte `at`; returns the byte after it, or after an uncompressed head.
 
     None if there is no such chunk, or no message of it can be decompressed.
@@ -106,24 +106,24 @@ def _cut(data: memoryview, at: int, survey: BagSurvey, diagnostics: Diagnostics)
     if not len(scan_messages(memoryview(content), 0, len(content), at, Diagnostics(Path())).starts):
         return None
     diagnostics.add_loss(at, None, None, None, why + "unpack")
-    _open(data, BagChunk(at, {}, cut=True), survey, Buffer(diagnostics.path, diagnostics.limits), diagnostics)
+    _survey_chunk_content(data, BagChunk(at, {}, cut=True), survey, Buffer(diagnostics.path, diagnostics.limits), diagnostics)
     return len(data)
 
 
-def _open(data: memoryview, chunk: BagChunk, survey: BagSurvey, buffer: Buffer, diagnostics: Diagnostics) -> None:
-    loaded = load(data, chunk, buffer, diagnostics)
+def _survey_chunk_content(data: memoryview, chunk: BagChunk, survey: BagSurvey, buffer: Buffer, diagnostics: Diagnostics) -> None:
+    loaded = load_bag_chunk(data, chunk, buffer, diagnostics)
     if loaded is None:
         return
     content, indexes = loaded
-    for inner in sound_records(content.data, 0, len(content), lambda _at, _size: None):
+    for inner in iterate_bag_records(content.data, 0, len(content), lambda _at, _size: None):
         if inner.op == CONNECTION:
             survey.declare(inner, content.data)
-    found = messages(content, data, chunk.start, indexes, diagnostics)
+    found = list_bag_messages(content, data, chunk.start, indexes, diagnostics)
     survey.count(found.connection, found.log_ns)
     survey.parts.append(replace(chunk, counts=dict.fromkeys(np.unique(found.connection).tolist(), 0)))
 
 
-def _loose(record: BagRecord, survey: BagSurvey) -> None:
+def _survey_loose_record(record: BagRecord, survey: BagSurvey) -> None:
     connection, log_ns = record.number(b"conn"), record.time_ns(b"time")
     survey.count(np.array([connection]), np.array([log_ns]))
     last = survey.parts[-1] if survey.parts else None

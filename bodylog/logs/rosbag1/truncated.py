@@ -52,17 +52,17 @@ def cut_at(data: memoryview, at: int) -> Cut | None:
 def decompress_truncated(cut: Cut) -> bytes:
     """The records before the cut, as far as they decompress: bz2 block by block, lz4 byte by byte."""
     if cut.compression == "bz2":
-        return _bz2(cut.packed, cut.most)
-    return bytes(_lz4(cut.packed, cut.most)) if cut.compression == "lz4" else b""
+        return _decompress_bz2_start(cut.packed, cut.most)
+    return bytes(_decompress_lz4_start(cut.packed, cut.most)) if cut.compression == "lz4" else b""
 
 
-def _bz2(packed: memoryview, most: int) -> bytes:
+def _decompress_bz2_start(packed: memoryview, most: int) -> bytes:
     with suppress(OSError, EOFError):
         return bz2.BZ2Decompressor().decompress(packed, max_length=most)
     return b""
 
 
-def _lz4(packed: memoryview, most: int) -> bytearray:
+def _decompress_lz4_start(packed: memoryview, most: int) -> bytearray:
     """LZ4 frame: https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md; the library gives only whole blocks."""
     found = bytearray()
     if packed[:4] != _LZ4 or len(packed) < 7:
@@ -77,33 +77,33 @@ def _lz4(packed: memoryview, most: int) -> bytearray:
         block = packed[at + 4 : at + 4 + size]
         if head >> 31:
             found += block
-        elif not _sequences(block, found, most):
+        elif not _append_lz4_sequences(block, found, most):
             break
         at += 4 + size + after
     del found[most:]
     return found
 
 
-def _sequences(block: memoryview, found: bytearray, most: int) -> bool:
+def _append_lz4_sequences(block: memoryview, found: bytearray, most: int) -> bool:
     """Append a block of literals and matches to `found`; returns whether it was sound to its end."""
     at = 0
     with suppress(IndexError):
         while len(found) < most:
             token = block[at]
-            literals, at = _length(block, at + 1, token >> 4)
+            literals, at = _read_lz4_length(block, at + 1, token >> 4)
             found += block[at : at + literals]
             at += literals
             if at >= len(block):
                 return at == len(block)
             offset = block[at] | block[at + 1] << 8
-            length, at = _length(block, at + 2, token & 15)
+            length, at = _read_lz4_length(block, at + 2, token & 15)
             if not 0 < offset <= len(found):
                 return False
-            _repeat(found, offset, length + 4)
+            _repeat_match(found, offset, length + 4)
     return False
 
 
-def _length(block: memoryview, at: int, nibble: int) -> tuple[int, int]:
+def _read_lz4_length(block: memoryview, at: int, nibble: int) -> tuple[int, int]:
     """A length, where the nibble 15 means that more bytes follow, and the byte after it."""
     length = nibble
     while nibble == 15:
@@ -114,6 +114,6 @@ def _length(block: memoryview, at: int, nibble: int) -> tuple[int, int]:
     return length, at
 
 
-def _repeat(found: bytearray, offset: int, length: int) -> None:
+def _repeat_match(found: bytearray, offset: int, length: int) -> None:
     start = len(found) - offset
     found += (found[start : start + length] * -(-length // offset))[:length]

@@ -12,10 +12,10 @@ from ...io import atomic_files, yaml_text
 from ...io.contained import is_inside
 from ..diagnostics import Diagnostics
 from ..limits import Input
-from ..mcap.time_ranges import widen
+from ..mcap.time_ranges import widen_time_span
 from ..protocol import Log
 from ..records import Batch, Finding, Topic
-from ..topics import Topics
+from ..topics import TopicTable
 
 SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd", ".db3.zst", ".mcap.zst")
 METADATA = "metadata.yaml"
@@ -38,8 +38,8 @@ class Rosbag2Log:
         self._findings: dict[Finding, None] = {}
         self._spans: dict[int, tuple[int, int]] = {}
         self._unsaid: set[int] = set()
-        topics, times = Topics(), []
-        for member in members(path, self._diagnostics):
+        topics, times = TopicTable(), []
+        for member in list_member_files(path, self._diagnostics):
             times += self._survey(member, topics)
         if not self._members:
             raise LogError(f"{path}: none of its files can be read: {self._diagnostics.findings[-1].text}")
@@ -76,7 +76,7 @@ class Rosbag2Log:
         """Close the log."""
         self.close()
 
-    def _survey(self, member: Path, topics: Topics) -> list[int]:
+    def _survey(self, member: Path, topics: TopicTable) -> list[int]:
         """Add one file's topics; returns its first and last log time (ns), if it has messages."""
         try:
             log = self._open(member, self._strict, self._diagnostics.limits)
@@ -89,7 +89,7 @@ class Rosbag2Log:
                 properties = (topic.name, topic.type, topic.encoding, topic.definition, topic.definition_encoding)
                 topic_of[topic.id] = topics.add(*properties, topic.messages, topic.metadata)
                 if topic.id in spans:
-                    widen(self._spans, topic_of[topic.id], spans[topic.id])
+                    widen_time_span(self._spans, topic_of[topic.id], spans[topic.id])
                 elif topic.messages:
                     self._unsaid.add(topic_of[topic.id])
             self._members.append((member, topic_of))
@@ -97,9 +97,9 @@ class Rosbag2Log:
             return [log.start_ns, log.end_ns] if any(topic.messages for topic in log.topics) else []
 
 
-def members(path: Path, diagnostics: Diagnostics) -> list[Path]:
+def list_member_files(path: Path, diagnostics: Diagnostics) -> list[Path]:
     """The log files of a folder, in order; LogError when there are none."""
-    found = sorted((p for p in path.iterdir() if p.is_file() and p.name.endswith(SUFFIXES)), key=_natural)
+    found = sorted((p for p in path.iterdir() if p.is_file() and p.name.endswith(SUFFIXES)), key=_natural_order)
     if outside := [p.name for p in found if not is_inside(p, path)]:
         diagnostics.warn(f"{', '.join(outside[:5])}: links out of the folder; not read; type the file's own name")
         found = [p for p in found if p.name not in outside]
@@ -108,7 +108,7 @@ def members(path: Path, diagnostics: Diagnostics) -> list[Path]:
     if not found:
         names = ", ".join(sorted(p.name for p in path.iterdir())[:5]) or "nothing"
         raise LogError(f"{path}: a folder without .db3 or .mcap files (it holds {names}); name a log or rosbag2 folder")
-    named = _named(metadata_of(path, diagnostics).get("relative_file_paths"), diagnostics)
+    named = _files_in_metadata(metadata_of(path, diagnostics).get("relative_file_paths"), diagnostics)
     listed = [p for name in named for p in found if p.name in (name, f"{name}.zstd", f"{name}.zst") or p.stem == name]
     missing = len(named) - len(listed)
     if not named or not listed:
@@ -116,13 +116,13 @@ def members(path: Path, diagnostics: Diagnostics) -> list[Path]:
     others = [p for p in found if p not in listed]
     if missing > 0:
         diagnostics.warn(f"{METADATA} names {missing} files that are missing; the existing log files are read")
-        return sorted({*listed, *others}, key=_natural)
+        return sorted({*listed, *others}, key=_natural_order)
     if others:
         diagnostics.info(f"{METADATA} does not name {', '.join(p.name for p in others[:5])}; left out")
     return list(dict.fromkeys(listed))
 
 
-def _named(listed: Any, diagnostics: Diagnostics) -> list[str]:
+def _files_in_metadata(listed: Any, diagnostics: Diagnostics) -> list[str]:
     """The file names that metadata.yaml lists; none, with a warning, if it holds no list of texts."""
     if listed is None or (isinstance(listed, list) and all(isinstance(name, str) for name in listed)):
         return [Path(name).name for name in listed or ()]
@@ -139,7 +139,7 @@ def metadata_of(path: Path, diagnostics: Diagnostics) -> dict[str, Any]:
         diagnostics.warn(f"there is no {METADATA}; all logs in the folder are read as one")
         return {}
     try:
-        fields = _yaml(atomic_files.text(file, _LONGEST))["rosbag2_bagfile_information"]
+        fields = _parse_cached_yaml(atomic_files.read_limited_text(file, _LONGEST))["rosbag2_bagfile_information"]
         if isinstance(fields, dict):
             return fields
         raise ValueError("no table rosbag2_bagfile_information")
@@ -149,10 +149,10 @@ def metadata_of(path: Path, diagnostics: Diagnostics) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def _yaml(text: str) -> Any:
+def _parse_cached_yaml(text: str) -> Any:
     """The value of a YAML text, kept: a folder's is read several times."""
-    return yaml_text.read(text)
+    return yaml_text.parse_yaml_text(text)
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def _natural_order(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]

@@ -23,7 +23,7 @@ _COLUMNS = "rowid, topic_id, timestamp, data"
 _SELECT = "SELECT {} FROM messages WHERE rowid > ? {} ORDER BY rowid"
 
 
-def interrupted(problem: Exception) -> None:
+def raise_if_interrupted(problem: Exception) -> None:
     """Raise KeyboardInterrupt if a signal, not damage, ended a query: SQLite hides exceptions of its handler.
 
     Other signals arrive again shortly and then end the process.
@@ -47,7 +47,7 @@ class Block(NamedTuple):
     length: Array
 
 
-class Rows:
+class MessageRows:
     """The table of messages; losses go to the diagnostics."""
 
     def __init__(self, store: sqlite3.Connection, diagnostics: Diagnostics) -> None:
@@ -62,7 +62,7 @@ class Rows:
         try:
             cursor = self._store.execute(_SELECT.format(_COLUMNS, chosen), (low,))
             while rows := cursor.fetchmany(count):
-                block = _block(rows, low)
+                block = _rows_to_block(rows, low)
                 if block is None:
                     break
                 yield block
@@ -72,7 +72,7 @@ class Rows:
             else:
                 return
         except DAMAGE as problem:
-            interrupted(problem)  # else continue row by row, past the damage
+            raise_if_interrupted(problem)  # else continue row by row, past the damage
         yield from self._damaged_rows(chosen, wanted, low)
 
     def _damaged_rows(self, chosen: str, wanted: Collection[int] | None, low: int) -> Iterator[Block]:
@@ -82,12 +82,12 @@ class Rows:
         while True:
             try:
                 for row in self._store.execute(query, (low,)):
-                    _rises(row, low)
+                    _require_rising_rowid(row, low)
                     yield from self._one(row, low)
                     low, last_ns = row[0], row[2]
                 return
             except DAMAGE as problem:
-                interrupted(problem)
+                raise_if_interrupted(problem)
                 found = self._next(low, last_ns, problem)
             if found is None:
                 return
@@ -96,7 +96,7 @@ class Rows:
             low = found[0]
 
     def _one(self, row: Row, low: int) -> Iterator[Block]:
-        block = _block([row], low)
+        block = _rows_to_block([row], low)
         if block is not None:
             yield block
         else:
@@ -125,24 +125,24 @@ class Rows:
             self._first(after)
             return True
         except DAMAGE as problem:
-            interrupted(problem)
+            raise_if_interrupted(problem)
             return False
 
     def _first(self, after: int) -> Row | None:
         query = _SELECT.format(_COLUMNS, "") + " LIMIT 1"
         row: Row | None = self._store.execute(query, (after,)).fetchone()
         if row:
-            _rises(row, after)
+            _require_rising_rowid(row, after)
         return row if row and type(row[2]) is int else None
 
 
-def _rises(row: Row, low: int) -> None:
+def _require_rising_rowid(row: Row, low: int) -> None:
     """DatabaseError when a row does not come after rowid `low`: pages that point back would be read forever."""
     if row[0] <= low:
         raise sqlite3.DatabaseError(f"row {row[0]} comes after row {low}")
 
 
-def _block(rows: list[Row], low: int) -> Block | None:
+def _rows_to_block(rows: list[Row], low: int) -> Block | None:
     """The rows as arrays; None when a value has the wrong type, or rowids do not rise from `low`."""
     ids, numbers, times, payloads = zip(*rows, strict=True)
     try:

@@ -10,13 +10,13 @@ from urllib.parse import quote
 import numpy as np
 
 from ...errors import LogError
-from ...io.temporary import scratch
+from ...io.temporary import create_scratch_folder
 from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Batch, Finding, Topic
 from ..storage.packed_files import decompress_messages
-from ..topics import Topics, normalised, span, split
-from .rows import DAMAGE, Block, Rows, interrupted
+from ..topics import TopicTable, normalise_message_type, log_time_span, split_by_topic_id
+from .rows import DAMAGE, Block, MessageRows, raise_if_interrupted
 
 _ENDS = ("min", "max")
 _FEW_TOPICS = 8
@@ -35,22 +35,22 @@ class Db3Log:
         """Open `source` (default: `path`) read only; LogError when it has no topics or messages."""
         self.path = path
         self._diagnostics = Diagnostics(path, strict, limits)
-        self._store = _connect(path, source or path)
+        self._store = _connect_database(path, source or path)
         try:
             _only_tables(path, self._store)
-            self._rows = Rows(self._store, self._diagnostics)
-            named = _topics(self._store)
+            self._rows = MessageRows(self._store, self._diagnostics)
+            named = _read_topic_rows(self._store)
             counts, *ends = self._survey(list(named))
         except LogError:
             self._store.close()
             raise
         except DAMAGE as problem:
             self._store.close()
-            interrupted(problem)
+            raise_if_interrupted(problem)
             advice = f"type: sqlite3 {path} .recover | sqlite3 whole.db3"
             raise LogError(f"{path}: not readable as a rosbag2 database: {problem}; {advice}") from None
-        self.start_ns, self.end_ns = span(ends if counts else (), self._diagnostics)
-        topics, self._topic_of = Topics(), {}
+        self.start_ns, self.end_ns = log_time_span(ends if counts else (), self._diagnostics)
+        topics, self._topic_of = TopicTable(), {}
         for number, (name, kind, encoding, definition, dialect, metadata) in named.items():
             count = counts.get(number, 0)
             self._topic_of[number] = topics.add(name, kind, encoding, definition, dialect, count, metadata)
@@ -68,7 +68,7 @@ class Db3Log:
         wanted = {number: topic for number, topic in self._topic_of.items() if ids is None or topic in ids}
         if wanted:
             blocks = self._rows.blocks(None if ids is None else wanted)
-            found = (batch for block in blocks for batch in _batches(block, wanted))
+            found = (batch for block in blocks for batch in _batches_by_topic(block, wanted))
             yield from decompress_messages(found, self.topics, self._diagnostics)
 
     def spans(self) -> dict[int, tuple[int, int]]:
@@ -98,7 +98,7 @@ class Db3Log:
             if all(type(value) is int for value in (*counts, *(times if counts else ()))):
                 return counts, times[0] or 0, times[1] or 0
         except DAMAGE as problem:
-            interrupted(problem)
+            raise_if_interrupted(problem)
             self._diagnostics.warn(f"the table of messages is damaged: {problem}")
         counts, ends = {}, []
         for block in self._rows.blocks(None):
@@ -117,27 +117,27 @@ class Db3Log:
         return dict(self._store.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
 
 
-def _connect(path: Path, source: Path) -> sqlite3.Connection:
+def _connect_database(path: Path, source: Path) -> sqlite3.Connection:
     """The database; rows that its write-ahead log or journal holds are read from a copy."""
     pending = [beside for end in ("-wal", "-journal") if (beside := source.with_name(source.name + end)).is_file()]
     if not any(beside.stat().st_size for beside in pending):
         address = f"file:{quote(os.fsencode(source.resolve()))}?mode=ro&immutable=1"
-        return _opened(address, source.stat().st_size)
+        return _open_read_only(address, source.stat().st_size)
     needed = sum(part.stat().st_size for part in (source, *pending))
-    with scratch() as folder:
+    with create_scratch_folder() as folder:
         if shutil.disk_usage(folder).free < 2 * needed:
             raise LogError(f"{path}: {pending[0].name} holds unsaved rows; {2 * needed} bytes are needed in {folder}")
         for part in (source, *pending):
             shutil.copyfile(part, folder / part.name)
-        store = _opened(f"file:{quote(os.fsencode(folder))}/{quote(os.fsencode(source.name))}?mode=rw", 2 * needed)
+        store = _open_read_only(f"file:{quote(os.fsencode(folder))}/{quote(os.fsencode(source.name))}?mode=rw", 2 * needed)
         store.execute("SELECT count(*) FROM sqlite_master").fetchall()
         return store
 
 
-def _opened(address: str, size: int) -> sqlite3.Connection:
+def _open_read_only(address: str, size: int) -> sqlite3.Connection:
     store = sqlite3.connect(address, uri=True, check_same_thread=False)
     store.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(1 << 16, min(_LARGEST, size)))
-    store.text_factory = _text
+    store.text_factory = _decode_text
     store.execute("PRAGMA trusted_schema = OFF")
     store.set_progress_handler(lambda: 0, _STEPS)
     return store
@@ -155,34 +155,34 @@ def _only_tables(path: Path, store: sqlite3.Connection) -> None:
             raise LogError(f"{path}: {name}.{hidden[0]} is computed, where rosbag2 stores values; record the log again")
 
 
-def _text(raw: bytes) -> str:
+def _decode_text(raw: bytes) -> str:
     return raw.decode(errors="replace")
 
 
-def _topics(store: sqlite3.Connection) -> dict[int, tuple[str, str, str, bytes, str, dict[str, str]]]:
+def _read_topic_rows(store: sqlite3.Connection) -> dict[int, tuple[str, str, str, bytes, str, dict[str, str]]]:
     """Id in the file -> name, type, encoding, definition, its dialect, metadata."""
     columns = [row[1] for row in store.execute("PRAGMA table_info(topics)")]
     kept = [name for name in ("offered_qos_profiles", "type_description_hash") if name in columns]
     chosen = ", ".join(["id", "name", "type", "serialization_format", *kept])
-    definitions = _definitions(store)
+    definitions = _read_definitions(store)
     topics = {}
     for number, name, kind, encoding, *rest in store.execute(f"SELECT {chosen} FROM topics"):
         if type(number) is not int:
             continue  # a damaged row; its messages are reported as of an unknown topic
         metadata = {key: str(value) for key, value in zip(kept, rest, strict=True) if value}
-        definition, dialect = definitions.get(kind) or _standard(normalised(str(kind)))
+        definition, dialect = definitions.get(kind) or _standard_definition(normalise_message_type(str(kind)))
         topics[number] = (str(name), str(kind), str(encoding or "cdr"), definition, dialect, metadata)
     return topics
 
 
-def _definitions(store: sqlite3.Connection) -> dict[str, tuple[bytes, str]]:
+def _read_definitions(store: sqlite3.Connection) -> dict[str, tuple[bytes, str]]:
     if not store.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchall():
         return {}
     rows = store.execute("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
     return {kind: (str(text).encode(), str(dialect)) for kind, dialect, text in rows if text}
 
 
-def _standard(kind: str) -> tuple[bytes, str]:
+def _standard_definition(kind: str) -> tuple[bytes, str]:
     """The definition of a type every ROS 2 has, or nothing."""
     from rosbags.typesys import Stores, get_typestore
 
@@ -192,8 +192,8 @@ def _standard(kind: str) -> tuple[bytes, str]:
     return store.generate_msgdef(kind, ros_version=2)[0].encode(), "ros2msg"
 
 
-def _batches(block: Block, wanted: dict[int, int]) -> Iterator[Batch]:
+def _batches_by_topic(block: Block, wanted: dict[int, int]) -> Iterator[Batch]:
     numbers = np.unique(block.topic)
     topic = np.array([wanted.get(number, -1) for number in numbers.tolist()], np.int64)
     topic = topic[np.searchsorted(numbers, block.topic)]
-    return split(topic, block.log_ns, block.data, block.offset, block.length)
+    return split_by_topic_id(topic, block.log_ns, block.data, block.offset, block.length)

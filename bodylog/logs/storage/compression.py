@@ -73,10 +73,10 @@ class Buffer:
         self._allowance.take(len(packed), size)
         if size > len(self._bytes):
             self._bytes = np.empty(size, np.uint8)
-        return self._bytes[: _fill(self._bytes[:size], compression, packed, partly)]
+        return self._bytes[: _decompress_into(self._bytes[:size], compression, packed, partly)]
 
 
-def _fill(target: Array, compression: str, packed: memoryview, partly: bool) -> int:
+def _decompress_into(target: Array, compression: str, packed: memoryview, partly: bool) -> int:
     """Number of bytes written: all of them, unless `partly`."""
     at, view = 0, target.data
     try:
@@ -96,7 +96,7 @@ def _zstd_error() -> type[Exception]:
     return zstandard.ZstdError
 
 
-def _zstd(packed: memoryview, target: memoryview) -> Iterator[int]:
+def _decompress_zstd(packed: memoryview, target: memoryview) -> Iterator[int]:
     import zstandard
 
     with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
@@ -107,7 +107,7 @@ def _zstd(packed: memoryview, target: memoryview) -> Iterator[int]:
         yield len(reader.read(1))
 
 
-def _lz4(packed: memoryview, target: memoryview) -> Iterator[int]:
+def _decompress_lz4(packed: memoryview, target: memoryview) -> Iterator[int]:
     import lz4.frame as lz4
 
     context, used, at, ended = lz4.create_decompression_context(), 0, 0, False
@@ -116,11 +116,11 @@ def _lz4(packed: memoryview, target: memoryview) -> Iterator[int]:
         if not piece and not taken:
             return
         used += taken
-        yield _place(piece, target, at)
+        yield _place_piece(piece, target, at)
         at += len(piece)
 
 
-def _bz2(packed: memoryview, target: memoryview) -> Iterator[int]:
+def _decompress_bz2(packed: memoryview, target: memoryview) -> Iterator[int]:
     import bz2
 
     unpacker, at, rest = bz2.BZ2Decompressor(), 0, packed
@@ -129,18 +129,18 @@ def _bz2(packed: memoryview, target: memoryview) -> Iterator[int]:
         if not piece and unpacker.needs_input and not rest:
             return
         rest = packed[:0]
-        yield _place(piece, target, at)
+        yield _place_piece(piece, target, at)
         at += len(piece)
 
 
-def _place(piece: bytes, target: memoryview, at: int) -> int:
+def _place_piece(piece: bytes, target: memoryview, at: int) -> int:
     if at + len(piece) > len(target):
         raise ValueError(f"more than the {len(target)} bytes declared")
     target[at : at + len(piece)] = piece
     return len(piece)
 
 
-_PIECES: dict[str, Any] = {"zstd": _zstd, "lz4": _lz4, "bz2": _bz2}
+_PIECES: dict[str, Any] = {"zstd": _decompress_zstd, "lz4": _decompress_lz4, "bz2": _decompress_bz2}
 
 
 def unpack_zstd(payload: memoryview, allowance: Allowance) -> bytes:

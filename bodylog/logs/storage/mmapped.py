@@ -15,7 +15,7 @@ _BEHIND, _AROUND = 32, 2 << 20
 """Images are used a while after they were read; and touching one page loads its neighbours."""
 
 
-def mapped(path: Path) -> memoryview:
+def map_file(path: Path) -> memoryview:
     """Map a file that is not empty; only pages that are touched are read."""
     if (remote := remote_map_of(path)) is not None:
         return memoryview(remote)

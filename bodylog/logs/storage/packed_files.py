@@ -8,7 +8,7 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 
 from ...errors import FormatError, LogError
-from ...io.temporary import scratch
+from ...io.temporary import create_scratch_folder
 from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Topic
@@ -28,7 +28,7 @@ _TOGETHER = 16 << 20
 Opened = TypeVar("Opened")
 
 
-def _zstd(stream: BinaryIO) -> Iterator[bytes]:
+def _iterate_zstd_content(stream: BinaryIO) -> Iterator[bytes]:
     """The content of a zstd file in pieces; FormatError at damage."""
     import zstandard
 
@@ -40,7 +40,7 @@ def _zstd(stream: BinaryIO) -> Iterator[bytes]:
         raise FormatError(f"zstd data is damaged: {problem}") from None
 
 
-def _lz4(stream: BinaryIO) -> Iterator[bytes]:
+def _iterate_lz4_content(stream: BinaryIO) -> Iterator[bytes]:
     """The content of a file of lz4 frames in pieces; FormatError at damage."""
     from lz4.frame import LZ4FrameDecompressor
 
@@ -62,7 +62,7 @@ def _lz4(stream: BinaryIO) -> Iterator[bytes]:
 
 
 _PACKED: Mapping[bytes, tuple[str, Callable[[BinaryIO], Iterator[bytes]]]] = {
-    ZSTD: ("zstd", _zstd), b"\x04\x22\x4d\x18": ("lz4", _lz4)
+    ZSTD: ("zstd", _iterate_zstd_content), b"\x04\x22\x4d\x18": ("lz4", _iterate_lz4_content)
 }  # fmt: skip
 """Name of a file's compression and how to undo it, by the first bytes."""
 
@@ -82,15 +82,15 @@ def unpack_file(
 
     `check` sees the first bytes and may reject them before the rest is decompressed.
     """
-    with scratch() as folder:
+    with create_scratch_folder() as folder:
         inner = folder / path.stem
         from shutil import disk_usage
 
-        _unpack(path, inner, disk_usage(folder).free - _MARGIN, limits, check)
+        _unpack_file(path, inner, disk_usage(folder).free - _MARGIN, limits, check)
         return use(inner)
 
 
-def _unpack(path: Path, inner: Path, limit: int, limits: Input, check: Callable[[bytes], object]) -> None:
+def _unpack_file(path: Path, inner: Path, limit: int, limits: Input, check: Callable[[bytes], object]) -> None:
     written, packed, allowance = 0, path.stat().st_size, Allowance(path, limits)
     with path.open("rb") as stream, inner.open("wb") as target:
         form, pieces = _PACKED[stream.read(4)]
@@ -121,17 +121,17 @@ def decompress_messages(
     for batch in batches:
         first = batch.data[batch.offset[0] : batch.offset[0] + 4].tobytes()
         if first == ZSTD and batch.topic_id in cdr:
-            yield from _each(batch, diagnostics, allowance)
+            yield from _decompress_batch_parts(batch, diagnostics, allowance)
         elif len(batch.length):
             yield batch
 
 
-def _each(batch: Batch, diagnostics: Diagnostics, allowance: Allowance) -> Iterator[Batch]:
+def _decompress_batch_parts(batch: Batch, diagnostics: Diagnostics, allowance: Allowance) -> Iterator[Batch]:
     """The batch decompressed, in parts of some megabytes, to limit memory."""
     kept: list[int] = []
     payloads: list[bytes] = []
     size = 0
-    for i, payload in enumerate(_views(batch)):
+    for i, payload in enumerate(_batch_payload_views(batch)):
         try:
             payloads.append(unpack_zstd(payload, allowance))
             kept.append(i)
@@ -141,18 +141,18 @@ def _each(batch: Batch, diagnostics: Diagnostics, allowance: Allowance) -> Itera
                 int(batch.offset[i]), len(payload), 1, 0.0, f"a message compressed on its own: {problem}"
             )
         if size > _TOGETHER:
-            yield _joined(batch, kept, payloads)
+            yield _join_payloads(batch, kept, payloads)
             kept, payloads, size = [], [], 0
     if kept:
-        yield _joined(batch, kept, payloads)
+        yield _join_payloads(batch, kept, payloads)
 
 
-def _joined(batch: Batch, kept: list[int], payloads: list[bytes]) -> Batch:
+def _join_payloads(batch: Batch, kept: list[int], payloads: list[bytes]) -> Batch:
     length = np.array([len(payload) for payload in payloads], np.int64)
     data: Array = np.frombuffer(payloads[0] if len(payloads) == 1 else b"".join(payloads), np.uint8)
     return replace(batch, log_ns=batch.log_ns[kept], data=data, offset=np.cumsum(length) - length, length=length)
 
 
-def _views(batch: Batch) -> Iterator[memoryview]:
+def _batch_payload_views(batch: Batch) -> Iterator[memoryview]:
     for start, size in zip(batch.offset.tolist(), batch.length.tolist(), strict=True):
         yield batch.data.data[start : start + size]

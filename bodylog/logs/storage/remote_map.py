@@ -8,7 +8,7 @@ from pathlib import Path
 from threading import Lock
 from weakref import finalize
 
-from ...io.temporary import scratch
+from ...io.temporary import create_scratch_folder
 
 _BLOCK = 1 << 18
 _ENDS = 1 << 20
@@ -29,7 +29,7 @@ class RemoteMap(mmap.mmap):
         """Fetch the missing blocks between the bytes `start` and `end` in few requests."""
         with self.lock:
             wanted = [block for block in range(start // _BLOCK, -(-end // _BLOCK)) if block not in self.present]
-            for first, last in _runs(wanted):
+            for first, last in _consecutive_runs(wanted):
                 low, high = first * _BLOCK, min((last + 1) * _BLOCK, len(self))
                 data = self.remote(low, high)
                 if len(data) != high - low:
@@ -38,7 +38,7 @@ class RemoteMap(mmap.mmap):
                 self.present.update(range(first, last + 1))
 
 
-def _runs(blocks: list[int]) -> Iterator[tuple[int, int]]:
+def _consecutive_runs(blocks: list[int]) -> Iterator[tuple[int, int]]:
     first = last = None
     for block in blocks:
         if first is None or last is None or block != last + 1:
@@ -55,8 +55,8 @@ _MAPPED: dict[Path, tuple[Read, int]] = {}
 
 @contextmanager
 def mapped_remote(name: str, size: int, read: Read) -> Iterator[Path]:
-    """A path that `mmapped.mapped` maps as a RemoteMap of `size` bytes; its head is there to detect its format."""
-    with scratch() as folder:
+    """A path that `mmapped.map_file` maps as a RemoteMap of `size` bytes; its head is there to detect its format."""
+    with create_scratch_folder() as folder:
         path = folder / name
         with path.open("wb") as stream:
             stream.write(read(0, min(size, 64))[:64])

@@ -30,12 +30,12 @@ def column_names(names: list[str], path: Path) -> list[str]:
     return names
 
 
-def text(cell: Any) -> str:
+def cell_text(cell: Any) -> str:
     """A cell as text; an empty one, however its block stores it, is the empty text."""
     return "" if isinstance(cell, float) and cell != cell else str(cell)
 
 
-def number(cell: Any) -> float:
+def cell_number(cell: Any) -> float:
     """A cell as a number; NaN if it is none."""
     try:
         return float(cell)
@@ -45,19 +45,19 @@ def number(cell: Any) -> float:
 
 def is_number(cell: str) -> bool:
     """Whether a cell is a finite or infinite number."""
-    return cell.lower() not in EMPTY and number(cell) == number(cell)
+    return cell.lower() not in EMPTY and cell_number(cell) == cell_number(cell)
 
 
-def objects(cells: Sequence[Any]) -> Array:
+def cell_objects(cells: Sequence[Any]) -> Array:
     """Cells (n,) as a CSV column would hold them."""
     plain = [np.nan if cell is None else cell for cell in cells]
     if all(isinstance(cell, int | float) for cell in plain):
-        return np.array([number(cell) for cell in plain])
+        return np.array([cell_number(cell) for cell in plain])
     out = np.empty(len(plain), dtype=object)
     out[:] = [cell if isinstance(cell, float) else str(cell) for cell in plain]
     return out
 
 
-def line(problem: Exception) -> str:
+def exception_line(problem: Exception) -> str:
     """An exception's text as one line."""
     return " ".join(str(problem).split())[:200]

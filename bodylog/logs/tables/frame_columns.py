@@ -40,13 +40,13 @@ class FramePoses:
     def coordinates(self) -> dict[str, Array]:
         """The six coordinates (N,) by name: NAME.x, .y, .z in m, then the rotations in rad, in their order."""
         found = {axis: self.place[:, k] for k, axis in enumerate(PLACE)}
-        found |= _rotations(self.rotation)
+        found |= _rotation_angles(self.rotation)
         return {f"{self.name}.{axis}": values for axis, values in found.items()}
 
 
 def frame_poses(numbers: Mapping[str, Array], path: str) -> list[FramePoses]:
     """Every frame in a table's columns; LogError where lengths cannot be in m, or matrices are no rotations."""
-    return [*_matrices(numbers, path), *_places(numbers, path)]
+    return [*_read_matrices(numbers, path), *_frame_positions(numbers, path)]
 
 
 def frame_of(joints: tuple[str, ...]) -> str | None:
@@ -56,7 +56,7 @@ def frame_of(joints: tuple[str, ...]) -> str | None:
     return name if joints in possible else None
 
 
-def _matrices(numbers: Mapping[str, Array], path: str) -> Iterator[FramePoses]:
+def _read_matrices(numbers: Mapping[str, Array], path: str) -> Iterator[FramePoses]:
     cells: dict[str, dict[tuple[int, int], str]] = {}
     for column in numbers:
         if match := _MATRIX.fullmatch(column):
@@ -66,10 +66,10 @@ def _matrices(numbers: Mapping[str, Array], path: str) -> Iterator[FramePoses]:
             continue
         values = np.array([[numbers[found[row, column]] for column in range(4)] for row in range(3)])
         matrix = np.moveaxis(values, -1, 0)
-        yield _checked(FramePoses(name, tuple(found.values()), matrix[:, :, 3], matrix[:, :, :3]), path)
+        yield _check_frame_poses(FramePoses(name, tuple(found.values()), matrix[:, :, 3], matrix[:, :, :3]), path)
 
 
-def _places(numbers: Mapping[str, Array], path: str) -> Iterator[FramePoses]:
+def _frame_positions(numbers: Mapping[str, Array], path: str) -> Iterator[FramePoses]:
     parts: dict[str, dict[str, str]] = {}
     for column in numbers:
         if match := _PART.fullmatch(column):
@@ -81,7 +81,7 @@ def _places(numbers: Mapping[str, Array], path: str) -> Iterator[FramePoses]:
         place, turn = (np.column_stack([numbers[found[axis]] for axis in axes]) for axes in (PLACE, turned))
         rotation = _of_quaternions(turn, name, path) if turned == _QUATERNION else _of_angles(turn, name, path)
         columns = tuple(found[axis] for axis in (*PLACE, *turned))
-        yield _checked(FramePoses(name, columns, place, rotation), path)
+        yield _check_frame_poses(FramePoses(name, columns, place, rotation), path)
 
 
 def _of_quaternions(turn: Array, name: str, path: str) -> Array:
@@ -104,10 +104,10 @@ def _of_angles(turn: Array, name: str, path: str) -> Array:
     if largest > 2.0 * np.pi:
         raise LogError(f"{path}: roll, pitch, yaw of {name}: found {largest:.4g}; possible: rad, at most a turn")
     roll, pitch, yaw = turn.T
-    return np.asarray(_about("z", yaw) @ _about("y", pitch) @ _about("x", roll))
+    return np.asarray(_rotations_about_axis("z", yaw) @ _rotations_about_axis("y", pitch) @ _rotations_about_axis("x", roll))
 
 
-def _about(axis: str, angle: Array) -> Array:
+def _rotations_about_axis(axis: str, angle: Array) -> Array:
     """Rotations (N,3,3) about one axis."""
     k = PLACE.index(axis)
     i = (k + 1) % 3
@@ -120,7 +120,7 @@ def _about(axis: str, angle: Array) -> Array:
     return found
 
 
-def _checked(found: FramePoses, path: str) -> FramePoses:
+def _check_frame_poses(found: FramePoses, path: str) -> FramePoses:
     farthest = float(np.nanmax(np.abs(found.place), initial=0.0))
     if farthest > _FARTHEST_M:
         raise LogError(f"{path}: {found.name}: a coordinate of its place is {farthest:.4g}; possible: m, not mm")
@@ -133,7 +133,7 @@ def _checked(found: FramePoses, path: str) -> FramePoses:
     return found
 
 
-def _rotations(rotation: Array) -> dict[str, Array]:
+def _rotation_angles(rotation: Array) -> dict[str, Array]:
     """The rotations (N,) rad in the order farther from its singularity, each within half a turn of its middle."""
     known: Array = np.asarray(np.isfinite(rotation).all(axis=(1, 2)))
     r = np.where(known[:, None, None], rotation, np.nan)
@@ -151,10 +151,10 @@ def _rotations(rotation: Array) -> dict[str, Array]:
             "rx": np.arctan2(r[:, 2, 1], second),
             "ry": np.arctan2(-r[:, 2, 0], r[:, 2, 2]),
         }
-    return {axis: _unwrapped(angle) for axis, angle in angles.items()}
+    return {axis: _unwrap_near_mean(angle) for axis, angle in angles.items()}
 
 
-def _unwrapped(angle: Array) -> Array:
+def _unwrap_near_mean(angle: Array) -> Array:
     """Angles (N,) within half a turn of a quarter turn near their mean, so that logs of one robot agree."""
     mean = np.arctan2(np.nanmean(np.sin(angle)), np.nanmean(np.cos(angle)))
     quarters = int(np.round(mean / (np.pi / 2.0)))

@@ -26,7 +26,7 @@ _ENCODING = {_DATA: 2, _DICTIONARY: 2, _DATA_V2: 4}
 
 
 @dataclass(frozen=True)
-class Leaf:
+class ParquetLeaf:
     """One column without its groups: values · bytes of its pages, and of the largest one · bytes of texts.
 
     texts_read: at most, where each of a dictionary is read once · texts_copied: at most, where each value is a copy.
@@ -38,9 +38,9 @@ class Leaf:
     texts_read: int = 0
     texts_copied: int = 0
 
-    def with_chunk(self, other: "Leaf") -> "Leaf":
+    def with_chunk(self, other: "ParquetLeaf") -> "ParquetLeaf":
         """Both together."""
-        return Leaf(
+        return ParquetLeaf(
             self.values + other.values,
             self.page_bytes + other.page_bytes,
             max(self.largest, other.largest),
@@ -49,12 +49,12 @@ class Leaf:
         )
 
 
-def leaves(path: Path, file: Any, limits: Input, groups: tuple[int, ...] | None = None) -> Mapping[str, Leaf]:
+def list_parquet_leaves(path: Path, file: Any, limits: Input, groups: tuple[int, ...] | None = None) -> Mapping[str, ParquetLeaf]:
     """The leaves of an open ParquetFile in some row groups (None: all), by their dotted names.
 
     LogError, with the setting, where a page unpacks to more than a message may; FormatError for a damaged header.
     """
-    found: dict[str, Leaf] = {}
+    found: dict[str, ParquetLeaf] = {}
     about = file.metadata
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         pages = 0
@@ -62,12 +62,12 @@ def leaves(path: Path, file: Any, limits: Input, groups: tuple[int, ...] | None 
             row_group = about.row_group(group)
             for number in range(row_group.num_columns):
                 column = row_group.column(number)
-                chunk, count = _chunk(path, data, column)
+                chunk, count = _read_column_chunk(path, data, column)
                 pages += count
                 if pages > _MOST_PAGES:
                     raise LogError(f"{path}: more than {_MOST_PAGES} pages")
                 name = column.path_in_schema
-                found[name] = found.get(name, Leaf()).with_chunk(chunk)
+                found[name] = found.get(name, ParquetLeaf()).with_chunk(chunk)
     largest = max(found, key=lambda name: found[name].largest, default="")
     if found and found[largest].largest > limits.max_message_mb * 1e6:
         asked = f"type in robot.toml: [input] max_message_mb = {-(-found[largest].largest // 10**6)}"
@@ -75,7 +75,7 @@ def leaves(path: Path, file: Any, limits: Input, groups: tuple[int, ...] | None 
     return found
 
 
-def _chunk(path: Path, data: mmap.mmap, column: Any) -> tuple[Leaf, int]:
+def _read_column_chunk(path: Path, data: mmap.mmap, column: Any) -> tuple[ParquetLeaf, int]:
     """One column of one row group, and the number of its pages."""
     start = column.data_page_offset
     if column.has_dictionary_page and 0 < column.dictionary_page_offset < start:
@@ -86,7 +86,7 @@ def _chunk(path: Path, data: mmap.mmap, column: Any) -> tuple[Leaf, int]:
     at = start
     while 0 <= at < end and values < column.num_values:
         try:
-            header, at = _struct(data, at, at + _LONGEST_HEADER)
+            header, at = _read_thrift_struct(data, at, at + _LONGEST_HEADER)
             kind, size, packed = (int(header[field]) for field in (_TYPE, _UNPACKED, _PACKED))
             about = header.get(_HEADERS.get(kind, -1), {})
             own = int(about.get(_VALUES, 0))
@@ -106,10 +106,10 @@ def _chunk(path: Path, data: mmap.mmap, column: Any) -> tuple[Leaf, int]:
         if count > _MOST_PAGES:
             raise LogError(f"{path}: {column.path_in_schema}: more than {_MOST_PAGES} pages")
     texts = unpacked * (1 + values) if repeats else unpacked
-    return Leaf(values, unpacked, largest, texts, texts + values * dictionary), count
+    return ParquetLeaf(values, unpacked, largest, texts, texts + values * dictionary), count
 
 
-def _struct(data: mmap.mmap, at: int, end: int, depth: int = 0) -> tuple[dict[int, Any], int]:
+def _read_thrift_struct(data: mmap.mmap, at: int, end: int, depth: int = 0) -> tuple[dict[int, Any], int]:
     """A struct of the compact protocol as {field: number or struct}, and the place behind it; ValueError if damaged."""
     if depth > _DEEPEST:
         raise ValueError("too deep")
@@ -123,33 +123,33 @@ def _struct(data: mmap.mmap, at: int, end: int, depth: int = 0) -> tuple[dict[in
         if head >> 4:
             field += head >> 4
         else:
-            field, at = _number(data, at)
-        found[field], at = _value(data, at, end, head & 15, depth)
+            field, at = _read_thrift_number(data, at)
+        found[field], at = _read_thrift_value(data, at, end, head & 15, depth)
     raise ValueError("too long")
 
 
-def _value(data: mmap.mmap, at: int, end: int, kind: int, depth: int) -> tuple[Any, int]:
+def _read_thrift_value(data: mmap.mmap, at: int, end: int, kind: int, depth: int) -> tuple[Any, int]:
     """A value of a type of the compact protocol, and the place behind it."""
     if kind in (1, 2):
         return 2 - kind, at
     if kind in (3, 7):
         return None, at + (1 if kind == 3 else 8)
     if kind in (4, 5, 6):
-        return _number(data, at)
+        return _read_thrift_number(data, at)
     if kind == 8:
-        length, at = _varint(data, at)
+        length, at = _read_thrift_varint(data, at)
         return None, at + length
     if kind == 12:
-        return _struct(data, at, end, depth + 1)
+        return _read_thrift_struct(data, at, end, depth + 1)
     raise ValueError(f"type {kind}, which no page header has")
 
 
-def _number(data: mmap.mmap, at: int) -> tuple[int, int]:
-    value, at = _varint(data, at)
+def _read_thrift_number(data: mmap.mmap, at: int) -> tuple[int, int]:
+    value, at = _read_thrift_varint(data, at)
     return (value >> 1) ^ -(value & 1), at
 
 
-def _varint(data: mmap.mmap, at: int) -> tuple[int, int]:
+def _read_thrift_varint(data: mmap.mmap, at: int) -> tuple[int, int]:
     value = 0
     for shift in range(0, 70, 7):
         byte = data[at]
@@ -160,6 +160,6 @@ def _varint(data: mmap.mmap, at: int) -> tuple[int, int]:
     raise ValueError("a number of more than 64 bits")
 
 
-def under(found: Mapping[str, Leaf], column: str) -> Iterator[Leaf]:
+def leaves_under_column(found: Mapping[str, ParquetLeaf], column: str) -> Iterator[ParquetLeaf]:
     """The leaves of a column of the table: itself, or those in its lists and groups."""
     return (leaf for name, leaf in found.items() if f"{name}.".startswith(f"{column}."))

@@ -10,22 +10,22 @@ from ...errors import FormatError, UsageError
 from ..limits import Input, TableSize
 from ..records import Array
 from . import parquet_pages
-from .cells import OBJECT_BYTES, column_names, line, objects
+from .cells import OBJECT_BYTES, column_names, exception_line, cell_objects
 
 
-def read(path: Path, limits: Input) -> tuple[list[str], list[Array], int]:
+def read_parquet_table(path: Path, limits: Input) -> tuple[list[str], list[Array], int]:
     """Names and cells (N,) of the columns, and the number of rows; FormatError or LogError where it is unreadable."""
     try:
         parquet: Any = import_module("pyarrow.parquet")
     except ImportError:
         text = 'Parquet needs pyarrow; type: pip install "bodylog[parquet]", or save it as CSV'
         raise UsageError(f"{path}: {text}") from None
-    with _damage(path):
+    with _arrow_damage_errors(path):
         return _of_file(path, limits, parquet)
 
 
 @contextmanager
-def _damage(path: Path) -> Iterator[None]:
+def _arrow_damage_errors(path: Path) -> Iterator[None]:
     """Turn what Arrow raises for a damaged file, or for types that it does not convert, into a FormatError."""
     arrow: Any = import_module("pyarrow")
     try:
@@ -33,26 +33,26 @@ def _damage(path: Path) -> Iterator[None]:
     except (arrow.ArrowException, OSError, KeyError, OverflowError) as problem:
         if getattr(problem, "filename", None) is not None:  # the file could not be opened
             raise
-        raise FormatError(f"{path}: not a parquet table: {line(problem)}") from None
+        raise FormatError(f"{path}: not a parquet table: {exception_line(problem)}") from None
 
 
 def _of_file(path: Path, limits: Input, parquet: Any) -> tuple[list[str], list[Array], int]:
     with parquet.ParquetFile(path) as file:
         names = column_names(list(file.schema_arrow.names), path)
-        leaves = parquet_pages.leaves(path, file, limits)
+        leaves = parquet_pages.list_parquet_leaves(path, file, limits)
         texts = [name for name in names if _is_text(file.schema_arrow.field(name).type)]
         size = TableSize(limits)
         for name in names:
-            _take(path, name, list(parquet_pages.under(leaves, name)), file, size)
+            _charge_table_column(path, name, list(parquet_pages.leaves_under_column(leaves, name)), file, size)
         rows = file.metadata.num_rows
     with parquet.ParquetFile(path, read_dictionary=texts) as file:  # one copy of each text, however often it occurs
         table = file.read()
     columns = [(name, table.column(place)) for place, name in enumerate(names)]
-    flat = [pair for name, column in columns for pair in _arrow(path, name, column, size)]
+    flat = [pair for name, column in columns for pair in _arrow_column_values(path, name, column, size)]
     return [name for name, _ in flat], [cells for _, cells in flat], rows
 
 
-def _take(path: Path, name: str, leaves: Sequence[parquet_pages.Leaf], file: Any, size: TableSize) -> None:
+def _charge_table_column(path: Path, name: str, leaves: Sequence[parquet_pages.ParquetLeaf], file: Any, size: TableSize) -> None:
     """Count a column before it is read; the texts of a plain column are counted once it is known which occur."""
     kind, values = file.schema_arrow.field(name).type, sum(leaf.values for leaf in leaves)
     if _is_plain(kind):
@@ -74,7 +74,7 @@ def _is_text(kind: Any) -> bool:
     return bool(types.is_string(kind) or types.is_binary(kind))
 
 
-def _arrow(path: Path, name: str, column: Any, size: TableSize) -> Iterator[tuple[str, Array]]:
+def _arrow_column_values(path: Path, name: str, column: Any, size: TableSize) -> Iterator[tuple[str, Array]]:
     """A Parquet column as a table column; a list of fixed length as several: name.0, name.1, ..."""
     if _is_plain(column.type):
         yield name, column.cast("float64").to_numpy()
@@ -85,9 +85,9 @@ def _arrow(path: Path, name: str, column: Any, size: TableSize) -> Iterator[tupl
     cells = column.to_pylist()
     widths = {len(cell) for cell in cells if isinstance(cell, list)}
     if len(widths) == 1 and all(isinstance(cell, list) for cell in cells):
-        yield from ((f"{name}.{k}", objects([cell[k] for cell in cells])) for k in range(min(widths)))
+        yield from ((f"{name}.{k}", cell_objects([cell[k] for cell in cells])) for k in range(min(widths)))
     else:
-        yield name, objects(cells)
+        yield name, cell_objects(cells)
 
 
 def _text_bytes(column: Any) -> int:

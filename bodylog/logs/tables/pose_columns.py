@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import LogError
 from ..records import Array
 from .frame_columns import frame_poses
-from .table_file import Table
+from .table_file import FileTable
 
 IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
@@ -25,7 +25,7 @@ _SPACE = re.compile(r"(?P<name>.+)[_.](?P<axis>[xyz]|q[xyzw])", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
+class PoseColumns:
     """joints (names) · tracks {name: positions (N,2) px} · std {name: (N,2) px} · images {column: files} · t (N,) s.
 
     `time`: the column of times, None if rows are numbered · notes on the roles of the columns.
@@ -40,15 +40,15 @@ class Poses:
     notes: tuple[str, ...]
 
 
-def poses(table: Table, path: str) -> Poses:
+def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     """Assign a role to each column; LogError if there is neither a joint nor a position."""
     left, notes = dict(table.numbers), list[str]()
-    images = {name: files for name, files in table.texts.items() if _are_images(files)}
-    time, t = _time(left, table.rows, notes)
-    tracks, std = _tracks(left)
-    labels = [name for name in left if label(name)]
+    images = {name: files for name, files in table.texts.items() if _name_image_files(files)}
+    time, t = _take_time_column(left, table.rows, notes)
+    tracks, std = _take_track_columns(left)
+    labels = [name for name in left if is_label_column(name)]
     frames = frame_poses(left, path)
-    spaces = list(dict.fromkeys([*_spaces(left), *(column for one in frames for column in one.columns)]))
+    spaces = list(dict.fromkeys([*_find_space_columns(left), *(column for one in frames for column in one.columns)]))
     empty = [name for name, values in left.items() if not np.isfinite(values).any()]
     lone = [name for name in left if _PLACE.fullmatch(name)]
     unused = dict.fromkeys([*(n for n in table.texts if n not in images), *labels, *spaces, *empty, *lone])
@@ -62,19 +62,19 @@ def poses(table: Table, path: str) -> Poses:
     if not joints and not tracks and not images:
         have = ", ".join(table.names[:12])
         raise LogError(f"{path}: no column is a joint, NAME_u and NAME_v, or image files; the columns are {have}")
-    notes += _used(joints, tracks, images, time)
+    notes += _describe_used_columns(joints, tracks, images, time)
     if unused:
         notes.append(f"columns not used: {', '.join(unused)}")
-    return Poses(joints, tracks, std, images, t, time, tuple(notes))
+    return PoseColumns(joints, tracks, std, images, t, time, tuple(notes))
 
 
-def _are_images(files: Array) -> bool:
+def _name_image_files(files: Array) -> bool:
     """Whether most texts of a column end like an image file's name."""
     filled = [str(name) for name in files.tolist() if name]
     return bool(filled) and sum(name.lower().endswith(IMAGES) for name in filled) > len(filled) / 2
 
 
-def _time(left: dict[str, Array], rows: int, notes: list[str]) -> tuple[str | None, Array]:
+def _take_time_column(left: dict[str, Array], rows: int, notes: list[str]) -> tuple[str | None, Array]:
     """The column of times, removed from `left`, and the rows' times (N,) s: row numbers if no column is sound."""
     name, t = time_column(left)
     if name is None:
@@ -96,22 +96,22 @@ def _time(left: dict[str, Array], rows: int, notes: list[str]) -> tuple[str | No
 def time_column(numbers: Mapping[str, Array]) -> tuple[str | None, Array]:
     """The first column named as a time, and its times (N,) s; None without one."""
     name = next((name for name in numbers if _TIME.fullmatch(name)), None)
-    return (None, np.empty(0)) if name is None else (name, numbers[name] * _scale(name))
+    return (None, np.empty(0)) if name is None else (name, numbers[name] * _time_column_scale(name))
 
 
-def label(name: str) -> bool:
+def is_label_column(name: str) -> bool:
     """Whether a column counts or labels its rows, by its name."""
     return _LABEL.fullmatch(name) is not None
 
 
-def _scale(name: str) -> float:
+def _time_column_scale(name: str) -> float:
     """Seconds per unit of a time column, by the end of its name."""
     match = _TIME.fullmatch(name)
     unit = (match[1] or "s").lower() if match else "s"
     return _UNITS.get(unit, 1.0)
 
 
-def _tracks(left: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+def _take_track_columns(left: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
     """Positions (N,2) px of NAME_u and NAME_v, and their standard deviations, removed from `left`."""
     axes: dict[str, dict[str, str]] = {}
     for column in left:
@@ -127,10 +127,10 @@ def _tracks(left: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]
         match = _STD.fullmatch(column)
         if match and match["name"] in tracks:
             stds.setdefault(match["name"], {})[(match["axis"] or match["before"] or "both").lower()] = column
-    return tracks, {name: _std(found, left) for name, found in stds.items()}
+    return tracks, {name: _track_std(found, left) for name, found in stds.items()}
 
 
-def _std(found: Mapping[str, str], left: dict[str, Array]) -> Array:
+def _track_std(found: Mapping[str, str], left: dict[str, Array]) -> Array:
     """Standard deviations (N,2) px from one column per axis or one for both; NaN where not positive."""
     columns = {axis: left.pop(column) for axis, column in found.items()}
     both = columns.get("both")
@@ -139,7 +139,7 @@ def _std(found: Mapping[str, str], left: dict[str, Array]) -> Array:
     return np.where(std > 0, std, np.nan)
 
 
-def _spaces(left: Mapping[str, Array]) -> list[str]:
+def _find_space_columns(left: Mapping[str, Array]) -> list[str]:
     """Columns of poses in space: NAME_x, NAME_y and NAME_z together, and quaternions beside them."""
     axes: dict[str, dict[str, str]] = {}
     for column in left:
@@ -150,7 +150,7 @@ def _spaces(left: Mapping[str, Array]) -> list[str]:
     return [column for found in spaces for column in found.values()]
 
 
-def _used(
+def _describe_used_columns(
     joints: Mapping[str, Array], tracks: Mapping[str, Array], images: Mapping[str, Array], time: str | None
 ) -> list[str]:
     """The roles of the used columns; joints that may be in degrees."""

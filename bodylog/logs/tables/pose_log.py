@@ -10,17 +10,17 @@ from ...io.contained import file_inside
 from ..decode.ros1_to_cdr import known_definition
 from ..encode import cdr
 from ..encode.cdr import CdrField
-from ..encode.schemas import definition
+from ..encode.schemas import ros2msg_definition
 from ..images.codecs import check_size
 from ..images.header_sizes import stated_size
 from ..joint_units import UNIT
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Outgoing, Topic
-from ..topic_names import TRACK, TRACK_NAMES, escape
+from ..topic_names import TRACK, TRACK_NAMES, escape_topic_name
 from ..topics import INDEPENDENT
 from .frame_columns import frame_of
-from .pose_columns import in_degrees, poses
-from .table_file import kind, read
+from .pose_columns import in_degrees, assign_column_roles
+from .table_file import table_format, read_table_file
 
 JOINTS = "/joint_states"
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -37,11 +37,11 @@ class PoseLog:
         """Read the whole table `source` (default: `path`); LogError when it holds no poses."""
         source, self.path = source or path, path
         with source.open("rb") as stream:
-            self.format = kind(path, stream.read(4)) or "csv"
-        table = read(source, self.format, limits)
+            self.format = table_format(path, stream.read(4)) or "csv"
+        table = read_table_file(source, self.format, limits)
         self._strict, self._findings = strict, list[Finding]()
         self._mpx = limits.max_image_mpx
-        found = poses(table, str(path))
+        found = assign_column_roles(table, str(path))
         self._add("info", *found.notes)
         self._add("warning", *table.odd)
         self._add("lost", *table.lost)
@@ -56,8 +56,8 @@ class PoseLog:
         self._images = {len(self._outgoing) + k: files for k, files in enumerate(found.images.values())}
         cameras = zip(self._images.items(), found.images, strict=True)
         self.topics: tuple[Topic, ...] = (
-            *(_topic(k, out, tuple(found.joints)) for k, out in enumerate(self._outgoing)),
-            *(_camera(k, name, sum(map(bool, files))) for (k, files), name in cameras),
+            *(_describe_pose_topic(k, out, tuple(found.joints)) for k, out in enumerate(self._outgoing)),
+            *(_describe_pose_camera(k, name, sum(map(bool, files))) for (k, files), name in cameras),
         )
         self.start_ns, self.end_ns = int(self._ns.min()), int(self._ns.max())
 
@@ -102,17 +102,17 @@ class PoseLog:
         # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array.
         unknown = np.full(values.shape, np.nan)
         rows: list[CdrField] = [("float64[]", values), ("float64[]", unknown), ("float64[]", unknown)]
-        return [self._outgoing_of(JOINTS, JOINT_STATE, [*cdr.header(self._ns), ("string[]", tuple(joints)), *rows])]
+        return [self._outgoing_of(JOINTS, JOINT_STATE, [*cdr.cdr_header_field(self._ns), ("string[]", tuple(joints)), *rows])]
 
     def _tracks(self, tracks: Mapping[str, Array], std: Mapping[str, Array]) -> Iterator[Outgoing]:
         for name, places in tracks.items():
             data = np.hstack([places, std.get(name, np.full(places.shape, np.nan))])
-            fields: list[CdrField] = [*cdr.header(self._ns), ("string[]", TRACK_NAMES), ("float64[]", data)]
-            yield self._outgoing_of(TRACK + escape(name), VECTOR, fields)
+            fields: list[CdrField] = [*cdr.cdr_header_field(self._ns), ("string[]", TRACK_NAMES), ("float64[]", data)]
+            yield self._outgoing_of(TRACK + escape_topic_name(name), VECTOR, fields)
 
     def _outgoing_of(self, topic: str, kind: str, fields: Sequence[CdrField]) -> Outgoing:
-        made = cdr.serialise(len(self._ns), fields)
-        return Outgoing(topic, kind, definition(kind), self._ns, made.data, made.offset, made.length)
+        made = cdr.serialise_messages(len(self._ns), fields)
+        return Outgoing(topic, kind, ros2msg_definition(kind), self._ns, made.data, made.offset, made.length)
 
     def _files(self, number: int, files: Array) -> Iterator[Batch]:
         """One batch per image; a missing or too large file is counted as lost."""
@@ -124,7 +124,7 @@ class PoseLog:
             if data is None:
                 missing.append(str(name))
                 continue
-            made = cdr.serialise(1, _image_fields(ns, data))
+            made = cdr.serialise_messages(1, _pose_image_fields(ns, data))
             yield Batch(number, np.array([ns]), made.data, made.offset, made.length)
         if missing:
             text = f"{len(missing)} images cannot be read: {', '.join(missing[:3])}"
@@ -150,10 +150,10 @@ class PoseLog:
 
 def image_files(path: Path) -> tuple[Path, ...]:
     """The image files that a table of poses names; none for any other file."""
-    if not path.is_file() or (form := kind(path)) is None:
+    if not path.is_file() or (form := table_format(path)) is None:
         return ()
     try:
-        found = poses(read(path, form), str(path)).images
+        found = assign_column_roles(read_table_file(path, form), str(path)).images
     except BodylogError:
         return ()
     return tuple(path.parent / str(name) for files in found.values() for name in files.tolist() if name)
@@ -168,7 +168,7 @@ def _as_png(data: Array, mpx: float) -> Array | None:
     return None if image is None else np.asarray(cv2.imencode(".png", image)[1]).reshape(-1)
 
 
-def _topic(number: int, out: Outgoing, joints: tuple[str, ...]) -> Topic:
+def _describe_pose_topic(number: int, out: Outgoing, joints: tuple[str, ...]) -> Topic:
     metadata = INDEPENDENT if out.topic == JOINTS else {}
     if metadata and frame_of(joints) is not None:
         # coordinates of a frame are in m and rad, whatever the unit of a robot's joints is
@@ -176,11 +176,11 @@ def _topic(number: int, out: Outgoing, joints: tuple[str, ...]) -> Topic:
     return Topic(number, out.topic, out.type, "cdr", out.definition, "ros2msg", len(out.log_ns), metadata)
 
 
-def _camera(number: int, column: str, images: int) -> Topic:
+def _describe_pose_camera(number: int, column: str, images: int) -> Topic:
     text = known_definition(COMPRESSED) or b""
-    return Topic(number, f"/{escape(column)}/compressed", COMPRESSED, "cdr", text, "ros2msg", images)
+    return Topic(number, f"/{escape_topic_name(column)}/compressed", COMPRESSED, "cdr", text, "ros2msg", images)
 
 
-def _image_fields(ns: int, data: Array) -> list[CdrField]:
+def _pose_image_fields(ns: int, data: Array) -> list[CdrField]:
     form = "png" if bytes(data[:4]) == b"\x89PNG" else "jpeg"
-    return [*cdr.header(np.array([ns])), ("string", form), ("uint8[]", data[None])]
+    return [*cdr.cdr_header_field(np.array([ns])), ("string", form), ("uint8[]", data[None])]

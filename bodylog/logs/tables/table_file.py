@@ -13,7 +13,7 @@ from ...errors import FormatError, LogError
 from ...io import yaml_text
 from ..limits import LIMITS, Input, TableSize
 from ..records import Array
-from .cells import EMPTY, OBJECT_BYTES, column_names, line, number, objects, text
+from .cells import EMPTY, OBJECT_BYTES, column_names, exception_line, cell_number, cell_objects, cell_text
 
 SUFFIXES = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".yaml": "yaml", ".yml": "yaml"}
 _LONGEST_ROW = 1 << 22
@@ -25,7 +25,7 @@ _MISTYPED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class FileTable:
     """numbers {column: (N,) float64, NaN where empty} · texts {column: (N,) object} · number of rows · notes.
 
     `lost`: notes on unreadable rows; `odd`: on cells without a number in a column of numbers.
@@ -43,14 +43,14 @@ class Table:
         return (*self.numbers, *self.texts)
 
 
-def kind(path: Path, first: bytes = b"") -> str | None:
+def table_format(path: Path, first: bytes = b"") -> str | None:
     """The format of a table by the file's first bytes and its name: csv, parquet or yaml; None for other files."""
     if first.startswith(b"PAR1"):
         return "parquet"
     return SUFFIXES.get(path.suffix.lower())
 
 
-def read(path: Path, form: str, limits: Input = LIMITS) -> Table:
+def read_table_file(path: Path, form: str, limits: Input = LIMITS) -> FileTable:
     """Read the table in a file of that format; LogError or FormatError if it is invalid or beyond the limits."""
     name = "max_yaml_mb" if form == "yaml" else "max_table_mb"
     megabytes = path.stat().st_size / 1e6
@@ -60,20 +60,20 @@ def read(path: Path, form: str, limits: Input = LIMITS) -> Table:
     try:
         found = READERS[form](path, limits)
     except (csv.Error, ValueError) as problem:
-        raise FormatError(f"{path}: not a {form} table: {line(problem)}") from None
+        raise FormatError(f"{path}: not a {form} table: {exception_line(problem)}") from None
     if not found.rows:
         raise LogError(f"{path}: the table has no rows")
     return found
 
 
-def _csv(path: Path, limits: Input) -> Table:
+def _read_csv(path: Path, limits: Input) -> FileTable:
     with path.open(encoding="utf-8-sig", newline="") as stream:
-        rows = _rows(stream, _delimiter(path))
+        rows = _iterate_csv_rows(stream, _detect_delimiter(path))
         header = column_names([cell.strip() for cell in next(rows, [])], path)
-        return _joined(header, _blocks(header, rows, path, TableSize(limits)), path)
+        return _join_table_pieces(header, _group_csv_rows(header, rows, path, TableSize(limits)), path)
 
 
-def _rows(stream: TextIO, delimiter: str) -> Iterator[list[str]]:
+def _iterate_csv_rows(stream: TextIO, delimiter: str) -> Iterator[list[str]]:
     """The rows of a CSV file; ValueError for one of more than _LONGEST_ROW characters."""
     left = _LONGEST_ROW
 
@@ -90,7 +90,7 @@ def _rows(stream: TextIO, delimiter: str) -> Iterator[list[str]]:
         yield row
 
 
-def _delimiter(path: Path) -> str:
+def _detect_delimiter(path: Path) -> str:
     """The most frequent separator in the first line."""
     with path.open(encoding="utf-8-sig") as stream:
         line = stream.readline(1 << 20)
@@ -98,7 +98,7 @@ def _delimiter(path: Path) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
+class _TablePiece:
     """Some rows: per column numbers (n,), or None if most are texts, the texts (n,), number of rejected rows."""
 
     cells: Sequence[Array]
@@ -106,7 +106,7 @@ class _Piece:
     long: int
 
 
-def _blocks(header: Sequence[str], rows: Iterator[list[str]], path: Path, size: TableSize) -> Iterator[_Piece]:
+def _group_csv_rows(header: Sequence[str], rows: Iterator[list[str]], path: Path, size: TableSize) -> Iterator[_TablePiece]:
     """Rows in blocks, so that memory holds only part of a long table's texts; empty lines are skipped."""
     width, short, long = len(header), 0, 0
     most = max(1, _BLOCK_CELLS // width)
@@ -120,41 +120,41 @@ def _blocks(header: Sequence[str], rows: Iterator[list[str]], path: Path, size: 
         short += len(row) < width
         block.append(row + [""] * (width - len(row)))
         if len(block) == most:
-            yield _piece(block, width, short, long, path, size)
+            yield _build_table_piece(block, width, short, long, path, size)
             block, short, long = [], 0, 0
-    yield _piece(block, width, short, long, path, size)
+    yield _build_table_piece(block, width, short, long, path, size)
 
 
-def _piece(block: list[list[str]], width: int, short: int, long: int, path: Path, size: TableSize) -> _Piece:
+def _build_table_piece(block: list[list[str]], width: int, short: int, long: int, path: Path, size: TableSize) -> _TablePiece:
     """A block of rows as columns; LogError where the table becomes too large."""
-    columns = _columns(block, width)
+    columns = _split_columns(block, width)
     texts = [cell for column in columns if column.dtype == object for cell in column.tolist()]
     size.take(8 * len(block) * width + OBJECT_BYTES * len(texts) + sum(map(len, texts)), f"{path}: the cells")
-    return _Piece(columns, short, long)
+    return _TablePiece(columns, short, long)
 
 
-def _columns(block: list[list[str]], width: int) -> list[Array]:
+def _split_columns(block: list[list[str]], width: int) -> list[Array]:
     """Cells of a block by column: floats (n,) if all filled ones are numbers, else texts (n,) as objects."""
     if not block:
         return [np.empty(0) for _ in range(width)]
-    return [_numbers([cell.strip() for cell in column]) for column in zip(*block, strict=True)]
+    return [_cells_as_numbers([cell.strip() for cell in column]) for column in zip(*block, strict=True)]
 
 
-def _numbers(cells: Sequence[str]) -> Array:
+def _cells_as_numbers(cells: Sequence[str]) -> Array:
     try:
         return np.array([np.nan if cell.lower() in EMPTY else float(cell) for cell in cells])
     except ValueError:
         return np.array(cells, dtype=object)
 
 
-def _joined(header: Sequence[str], pieces: Iterator[_Piece], path: Path) -> Table:
+def _join_table_pieces(header: Sequence[str], pieces: Iterator[_TablePiece], path: Path) -> FileTable:
     parts = list(pieces)
     numbers, texts, odd = dict[str, Array](), dict[str, Array](), []
     for place, name in enumerate(header):
         column = [part.cells[place] for part in parts]
         if not name:
             continue
-        values, wrong = _typed(column)
+        values, wrong = _type_column(column)
         if values.dtype == object:
             texts[name] = values
         else:
@@ -163,58 +163,58 @@ def _joined(header: Sequence[str], pieces: Iterator[_Piece], path: Path) -> Tabl
     short, long = sum(part.short for part in parts), sum(part.long for part in parts)
     lost = [f"{long} rows have more than {len(header)} cells and are left out"] if long else []
     lost += [f"{short} rows have fewer than {len(header)} cells; missing cells are empty"] if short else []
-    return Table(numbers, texts, sum(len(part.cells[0]) for part in parts), tuple(lost), tuple(odd))
+    return FileTable(numbers, texts, sum(len(part.cells[0]) for part in parts), tuple(lost), tuple(odd))
 
 
-def _typed(column: Sequence[Array]) -> tuple[Array, list[str]]:
+def _type_column(column: Sequence[Array]) -> tuple[Array, list[str]]:
     """A column as numbers, with its cells that are not numbers; as texts if most cells are texts."""
     if all(part.dtype != object for part in column):
         values = np.concatenate(column)
         wrong = [str(value) for value in values[np.isinf(values)].tolist()]
         return np.where(np.isfinite(values), values, np.nan), wrong
     cells = np.concatenate([part.astype(object) for part in column])
-    numbers = np.array([number(cell) for cell in cells.tolist()])
-    filled = np.array([c == c and text(c).lower() not in EMPTY for c in cells.tolist()])
+    numbers = np.array([cell_number(cell) for cell in cells.tolist()])
+    filled = np.array([c == c and cell_text(c).lower() not in EMPTY for c in cells.tolist()])
     sound = np.isfinite(numbers)
     if sound.sum() <= _MISTYPED * filled.sum():
-        return np.array([text(cell) for cell in cells.tolist()], dtype=object), []
-    return np.where(sound, numbers, np.nan), [text(cell) for cell in cells[filled & ~sound].tolist()]
+        return np.array([cell_text(cell) for cell in cells.tolist()], dtype=object), []
+    return np.where(sound, numbers, np.nan), [cell_text(cell) for cell in cells[filled & ~sound].tolist()]
 
 
-def _yaml(path: Path, limits: Input) -> Table:
+def _read_yaml_table(path: Path, limits: Input) -> FileTable:
     most = int(limits.max_yaml_mb * yaml_text.MOST_VALUES)
-    rows = yaml_text.read(path.read_text(encoding="utf-8-sig"), most)
+    rows = yaml_text.parse_yaml_text(path.read_text(encoding="utf-8-sig"), most)
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise ValueError("it must be a list of mappings, one for each pose: - {pan: 0.1, tip_u: 310.5, tip_v: 99}")
-    flat = [dict(_flat(row)) for row in rows]
+    flat = [dict(_flatten_row(row)) for row in rows]
     names = column_names(list(dict.fromkeys(name for row in flat for name in row)), path)
     TableSize(limits).take(OBJECT_BYTES * len(names) * len(flat), f"{path}: {len(flat)} rows of {len(names)} columns")
-    return _of_cells(names, [objects([row.get(name) for row in flat]) for name in names], len(rows), path)
+    return _of_cells(names, [cell_objects([row.get(name) for row in flat]) for name in names], len(rows), path)
 
 
-def _flat(row: Mapping[Any, Any], before: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+def _flatten_row(row: Mapping[Any, Any], before: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
     """The cells of one mapping, inner ones under the outer's: `tip: {u: 3, v: 4}` or `tip: [3, 4]` is tip_u, tip_v."""
     for key, value in row.items():
         name = f"{before}{key}"
         if isinstance(value, dict) and depth < 4:
             inner = "" if name in ("joints", "position", "positions") else f"{name}_"
-            yield from _flat(value, inner, depth + 1)
+            yield from _flatten_row(value, inner, depth + 1)
         elif isinstance(value, list) and len(value) == 2 and all(isinstance(v, int | float) for v in value):
             yield from zip((f"{name}_u", f"{name}_v"), value, strict=True)
         else:
             yield name, value
 
 
-def _of_cells(names: Sequence[str], cells: Sequence[Array], rows: int, path: Path) -> Table:
-    found = _joined(names, iter([_Piece(cells, 0, 0)]), path)
-    return Table(found.numbers, found.texts, rows, found.lost, found.odd)
+def _of_cells(names: Sequence[str], cells: Sequence[Array], rows: int, path: Path) -> FileTable:
+    found = _join_table_pieces(names, iter([_TablePiece(cells, 0, 0)]), path)
+    return FileTable(found.numbers, found.texts, rows, found.lost, found.odd)
 
 
-def _parquet(path: Path, limits: Input) -> Table:
+def _read_parquet_columns(path: Path, limits: Input) -> FileTable:
     from . import parquet_table
 
-    names, cells, rows = parquet_table.read(path, limits)
+    names, cells, rows = parquet_table.read_parquet_table(path, limits)
     return _of_cells(names, cells, rows, path)
 
 
-READERS: Mapping[str, Callable[[Path, Input], Table]] = {"csv": _csv, "parquet": _parquet, "yaml": _yaml}
+READERS: Mapping[str, Callable[[Path, Input], FileTable]] = {"csv": _read_csv, "parquet": _read_parquet_columns, "yaml": _read_yaml_table}

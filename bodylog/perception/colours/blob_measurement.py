@@ -6,9 +6,9 @@ from math import isfinite
 import numpy as np
 
 from ...types import Array
-from .coarse_search import CANDIDATES, FAINT, Window, windows
-from .hsv_ranges import Range, mask
-from .subpixel_centroid import counts, measure
+from .coarse_search import CANDIDATES, FAINT, Window, find_windows
+from .hsv_ranges import HsvRange, mask_of_range
+from .subpixel_centroid import count_pixels, measure_centroids
 
 U, V, STD_U, STD_V, MASS, STRENGTH, BORDER = range(7)
 FIELDS = 7
@@ -22,22 +22,22 @@ _SIZE_RATIO = 1.3
 _PIXELS = 1 << 19
 
 
-def measured_blobs(images: Sequence[Array], ranges: Sequence[Range]) -> Array:
-    """Blobs of each colour in images (H,W,3) BGR: (N,colours,PLACES,FIELDS) px, as `tables` gives them."""
-    return tables(list(windows(dict(enumerate(images)), ranges)), len(images), ranges)
+def measured_blobs(images: Sequence[Array], ranges: Sequence[HsvRange]) -> Array:
+    """Blobs of each colour in images (H,W,3) BGR: (N,colours,PLACES,FIELDS) px, as `blob_tables` gives them."""
+    return blob_tables(list(find_windows(dict(enumerate(images)), ranges)), len(images), ranges)
 
 
-def tables(found: Sequence[Window], count: int, ranges: Sequence[Range]) -> Array:
+def blob_tables(found: Sequence[Window], count: int, ranges: Sequence[HsvRange]) -> Array:
     """Blobs of each colour in the windows of `count` pictures: (count,colours,PLACES,FIELDS) px."""
     by_colour: list[list[Window]] = [[] for _ in ranges]
     for window in found:
         by_colour[window.colour].append(window)
     if not ranges:
         return np.empty((count, 0, CANDIDATES, FIELDS))
-    return np.stack([_table(some, count, one) for some, one in zip(by_colour, ranges, strict=True)], axis=1)
+    return np.stack([_table_of_colour(some, count, one) for some, one in zip(by_colour, ranges, strict=True)], axis=1)
 
 
-def _table(found: Sequence[Window], count: int, colour: Range) -> Array:
+def _table_of_colour(found: Sequence[Window], count: int, colour: HsvRange) -> Array:
     """One colour's blobs in the windows of `count` pictures, strongest first: (count,PLACES,FIELDS) px, else NaN.
 
     MASS is the blob's area in px², STRENGTH that times its contrast with the surround in grey levels, BORDER 1 where
@@ -47,24 +47,24 @@ def _table(found: Sequence[Window], count: int, colour: Range) -> Array:
     clear = _by_picture([window for window in found if not window.faint], colour)
     faint = _by_picture([window for window in found if window.faint], colour)
     for picture in {*clear, *faint}:
-        first = _distinct(clear.get(picture, []), [])
+        first = _distinct_blobs(clear.get(picture, []), [])
         blobs[picture, : len(first)] = first or np.empty((0, FIELDS))
-        if more := _distinct(faint.get(picture, []), first):
+        if more := _distinct_blobs(faint.get(picture, []), first):
             blobs[picture, CANDIDATES : CANDIDATES + len(more)] = more
     return blobs
 
 
-def _by_picture(found: Sequence[Window], colour: Range) -> dict[int, list[list[float]]]:
+def _by_picture(found: Sequence[Window], colour: HsvRange) -> dict[int, list[list[float]]]:
     """FIELDS of the blob in each window, by picture."""
     rows: dict[int, list[list[float]]] = {}
     for some in _by_size(found):
-        for window, row in zip(some, _rows(some, colour).tolist(), strict=True):
+        for window, row in zip(some, _measure_windows(some, colour).tolist(), strict=True):
             if isfinite(row[U]):
                 rows.setdefault(window.picture, []).append(row)
     return rows
 
 
-def enlarged(blobs: Array, scale: Array) -> Array:
+def enlarge_blobs(blobs: Array, scale: Array) -> Array:
     """Blobs (N,…,FIELDS) of images shrunk by scale (N,), in pixels of the full images."""
     by = scale.reshape(-1, *[1] * (blobs.ndim - 2)).astype(np.float64)
     whole = blobs.copy()
@@ -79,7 +79,7 @@ def _by_size(found: Sequence[Window]) -> list[list[Window]]:
     """Windows grouped by size, at most one sheet each."""
     sheets: list[list[Window]] = []
     least = 0
-    for side, number in sorted((_side(window), number) for number, window in enumerate(found)):
+    for side, number in sorted((_square_side(window), number) for number, window in enumerate(found)):
         if not sheets or side > _SIZE_RATIO * least or side**2 * (len(sheets[-1]) + 1) > _PIXELS:
             sheets.append([])
             least = side
@@ -87,35 +87,35 @@ def _by_size(found: Sequence[Window]) -> list[list[Window]]:
     return sheets
 
 
-def _side(window: Window) -> int:
+def _square_side(window: Window) -> int:
     """The side (px) of the square that holds a window and its guard, a multiple of 8."""
     return -(-(int(max(window.pixels.shape[:2])) + _GUARD) // 8) * 8
 
 
-def _rows(some: Sequence[Window], colour: Range) -> Array:
+def _measure_windows(some: Sequence[Window], colour: HsvRange) -> Array:
     """FIELDS of the blob in each window: (K,FIELDS); NaN where full resolution finds too little of the colour."""
-    sheet, valid = _sheet(some)
-    core = _largest(sheet, valid, colour)
+    sheet, valid = _compose_sheet(some)
+    core = _largest_component(sheet, valid, colour)
     rows = np.full((len(some), FIELDS), np.nan)
-    enough = np.flatnonzero(counts(core) >= _SMALLEST)
+    enough = np.flatnonzero(count_pixels(core) >= _SMALLEST)
     if not enough.size:
         return rows
     if enough.size < len(some):
         sheet, core, valid = sheet[:, enough], core[:, enough], valid[:, enough]
-    u, v, std_u, std_v, mass, contrast = measure(sheet, core, valid)
+    u, v, std_u, std_v, mass, contrast = measure_centroids(sheet, core, valid)
     corner = np.array([(some[k].left, some[k].top) for k in enough.tolist()])
     last = np.array([some[k].size for k in enough.tolist()]) - 1
     centre, std = np.stack([u, v], axis=1) + corner, np.stack([std_u, std_v], axis=1)
     radius, inside = np.sqrt(mass / np.pi), np.minimum(centre, last - centre)
     border = inside.min(axis=1) < _WHOLE * radius - 0.5
-    std = np.hypot(std, _cut(radius[:, None], inside))
+    std = np.hypot(std, _shift_by_border(radius[:, None], inside))
     rows[enough] = np.column_stack([centre, std, mass, mass * contrast, border])
     return rows
 
 
-def _sheet(some: Sequence[Window]) -> tuple[Array, Array]:
+def _compose_sheet(some: Sequence[Window]) -> tuple[Array, Array]:
     """The windows (S,K,S,3), each in the upper left corner of its square, and 1 where they are: (S,K,S) uint8."""
-    side = max(map(_side, some))
+    side = max(map(_square_side, some))
     sheet, valid = np.zeros((side, len(some), side, 3), np.uint8), np.zeros((side, len(some), side), np.uint8)
     for k, window in enumerate(some):
         height, width = window.pixels.shape[:2]
@@ -124,7 +124,7 @@ def _sheet(some: Sequence[Window]) -> tuple[Array, Array]:
     return sheet, valid
 
 
-def _cut(radius: Array, inside: Array) -> Array:
+def _shift_by_border(radius: Array, inside: Array) -> Array:
     """The shift (px) of a disc's centre by the image's border, `inside` px away plus half a pixel.
 
     A disc of radius r has the share (4√2/3π) (h/r)^1.5 in a low segment of height h, at r from its centre.
@@ -132,12 +132,12 @@ def _cut(radius: Array, inside: Array) -> Array:
     return 0.6 * np.maximum(radius - 0.5 - inside, 0.0) ** 1.5 / np.sqrt(radius)
 
 
-def _largest(sheet: Array, valid: Array, colour: Range) -> Array:
+def _largest_component(sheet: Array, valid: Array, colour: HsvRange) -> Array:
     """1 on the largest component of the colour in each square of a sheet, and on its holes: (S,K,S) uint8."""
     import cv2
 
     side = len(sheet)
-    seen = mask(cv2.cvtColor(sheet.reshape(1, -1, 3), cv2.COLOR_BGR2HSV), colour).reshape(side, -1)
+    seen = mask_of_range(cv2.cvtColor(sheet.reshape(1, -1, 3), cv2.COLOR_BGR2HSV), colour).reshape(side, -1)
     seen &= valid.reshape(side, -1)
     largest: dict[int, Array] = {}
     for outline in cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
@@ -149,7 +149,7 @@ def _largest(sheet: Array, valid: Array, colour: Range) -> Array:
     return core.reshape(valid.shape)
 
 
-def _distinct(rows: list[list[float]], others: list[list[float]]) -> list[list[float]]:
+def _distinct_blobs(rows: list[list[float]], others: list[list[float]]) -> list[list[float]]:
     """Strongest first, each blob once and none of `others`: two coarse pieces of one blob have the same centre."""
     kept: list[list[float]] = []
     for row in sorted(rows, key=lambda row: -row[STRENGTH]):

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...types import Array, Series
 from ..tracking import joint_motion
-from ..tracking.target_selection import linked
+from ..tracking.target_selection import link_blobs
 from .blob_measurement import MASS, U, V
 
 _REACH = 3.0
@@ -37,7 +37,7 @@ EXPLAINED = 0.25
 """Least share of held-out motion that the joints explain of a thing on the arm."""
 
 
-class Choice(NamedTuple):
+class BlobChoice(NamedTuple):
     """The arm's candidate in each image (N,), -1 for none.
 
     place (N,2) px, `spread` (N,) px and radius (N,) px are predicted from the joints; `explained` is the
@@ -54,7 +54,7 @@ class Choice(NamedTuple):
     delay: float
 
 
-class _Rows(NamedTuple):
+class _CandidateRows(NamedTuple):
     """Candidates as rows: image (R,), number in the image (R,), place (R,2) px, area (R,) px²."""
 
     frame: Array
@@ -62,70 +62,70 @@ class _Rows(NamedTuple):
     place: Array
     area: Array
 
-    def only(self, kept: Array) -> "_Rows":
-        return _Rows(*(column[kept] for column in self))
+    def only(self, kept: Array) -> "_CandidateRows":
+        return _CandidateRows(*(column[kept] for column in self))
 
 
-def choose(t: Array, found: Array, joints: Series | None, width: float) -> Choice | None:
+def choose_arm_blobs(t: Array, found: Array, joints: Series | None, width: float) -> BlobChoice | None:
     """The arm's blobs among those found (N,candidates,FIELDS) at t (N,) s; None where the joints explain none."""
-    q = joint_motion.angles(joints, t)
-    rows = _rows(found)
+    q = joint_motion.moving_postures(joints, t)
+    rows = _candidate_rows(found)
     if not q.shape[1] or len(np.unique(rows.frame)) < _FEWEST:
         return None
-    still = _still(rows, q, width)
-    best = _nothing(q)
+    still = _still_places(rows, q, width)
+    best = _empty_choice(q)
     if len(t) > _COMPARED:
         start = _start_of_part(t, found, q, width)
-        best = _follow(t, rows, still, start, q, width) if len(start.frame) >= _FEWEST else best
+        best = _follow_joints(t, rows, still, start, q, width) if len(start.frame) >= _FEWEST else best
     if best.beyond_chance < EXPLAINED:
-        best = _best(t, found, still, q, width)
+        best = _best_of_starts(t, found, still, q, width)
     if best.beyond_chance < EXPLAINED:
         return None
-    late = _late(t, rows, best, joints, width)
+    late = _delay_of_choice(t, rows, best, joints, width)
     if late:
-        again = _follow(t, rows, still, _chosen(rows, best.number), joint_motion.angles(joints, t, late), width)
-        best = max(best, again._replace(delay=late), key=_worth)
+        again = _follow_joints(t, rows, still, _chosen_rows(rows, best.number), joint_motion.moving_postures(joints, t, late), width)
+        best = max(best, again._replace(delay=late), key=_worth_of_choice)
     return best
 
 
-def _start_of_part(t: Array, found: Array, q: Array, width: float) -> _Rows:
+def _start_of_part(t: Array, found: Array, q: Array, width: float) -> _CandidateRows:
     """The rows that the best start ends with on stretches of a long log."""
     stretches = np.linspace(0, len(t) - _STRETCH, _COMPARED // _STRETCH).astype(int)
     part = np.unique(stretches[:, None] + np.arange(_STRETCH))
-    rows = _rows(found[part])
-    best = _best(t[part], found[part], _still(rows, q[part], width), q[part], width)
-    start = _chosen(rows, best.number)
+    rows = _candidate_rows(found[part])
+    best = _best_of_starts(t[part], found[part], _still_places(rows, q[part], width), q[part], width)
+    start = _chosen_rows(rows, best.number)
     return start._replace(frame=part[start.frame])
 
 
-def _best(t: Array, found: Array, still: Array, q: Array, width: float) -> Choice:
+def _best_of_starts(t: Array, found: Array, still: Array, q: Array, width: float) -> BlobChoice:
     """The choice that explains most, of all starts; `still` (R,) numbers places of still things."""
-    rows = _rows(found)
-    best = _nothing(q)
-    for start in _starts(t, found, rows.only(still < 0), q, width):
-        known = best.beyond_chance and _within(start, best.place, width) > _SAME
+    rows = _candidate_rows(found)
+    best = _empty_choice(q)
+    for start in _rows_to_start_from(t, found, rows.only(still < 0), q, width):
+        known = best.beyond_chance and _share_near_places(start, best.place, width) > _SAME
         if known or len(start.frame) < _FEWEST:
             continue
-        best = max(best, _follow(t, rows, still, start, q, width), key=_worth)
+        best = max(best, _follow_joints(t, rows, still, start, q, width), key=_worth_of_choice)
     return best
 
 
-def _rows(found: Array) -> _Rows:
+def _candidate_rows(found: Array) -> _CandidateRows:
     frame, which = np.nonzero(np.isfinite(found[:, :, U]))
     row = found[frame, which]
-    return _Rows(frame, which, row[:, [U, V]], row[:, MASS])
+    return _CandidateRows(frame, which, row[:, [U, V]], row[:, MASS])
 
 
-def _within(rows: _Rows, place: Array, width: float) -> float:
+def _share_near_places(rows: _CandidateRows, place: Array, width: float) -> float:
     """The share of rows near the places that another start found already."""
     return float((np.hypot(*(rows.place - place[rows.frame]).T) < _SAME_PLACE * width).mean())
 
 
-def _worth(choice: Choice) -> float:
+def _worth_of_choice(choice: BlobChoice) -> float:
     return choice.beyond_chance * np.count_nonzero(choice.number >= 0)
 
 
-def _still(rows: _Rows, q: Array, width: float) -> Array:
+def _still_places(rows: _CandidateRows, q: Array, width: float) -> Array:
     """For each row the number of the place where something stands still while the joints move, else -1: (R,)."""
     still, left, number = np.full(len(rows.frame), -1), np.ones(len(rows.frame), bool), 0
     cell, most = max(3.0, _SAME_PLACE * width), max(5.0, _OFTEN * len(q))
@@ -148,64 +148,64 @@ def _still(rows: _Rows, q: Array, width: float) -> Array:
     return still
 
 
-def _starts(t: Array, found: Array, moving: _Rows, q: Array, width: float) -> Iterator[_Rows]:
+def _rows_to_start_from(t: Array, found: Array, moving: _CandidateRows, q: Array, width: float) -> Iterator[_CandidateRows]:
     """Rows to start from: runs through time that the joints explain, the best runs alone, then all that moves."""
     packed = np.full(found.shape, np.nan)
     rank = np.arange(len(moving.frame)) - np.searchsorted(moving.frame, moving.frame)
     packed[moving.frame, rank] = found[moving.frame, moving.which]
     scored = []
-    for frames, table in linked(t, packed, width):
+    for frames, table in link_blobs(t, packed, width):
         if len(frames) >= _FEWEST:
             place = table[:, [U, V]]
             share = joint_motion.explained_share(q[frames], place, width)
-            scored.append((share, _Rows(frames, 0 * frames, place, table[:, MASS])))
+            scored.append((share, _CandidateRows(frames, 0 * frames, place, table[:, MASS])))
     for least in _RUNS:
         if runs := [run for share, run in scored if share > least]:
-            yield _Rows(*(np.concatenate(columns) for columns in zip(*runs, strict=True)))
+            yield _CandidateRows(*(np.concatenate(columns) for columns in zip(*runs, strict=True)))
     best = sorted(scored, key=lambda one: -one[0] * len(one[1].frame))
     yield from (run for share, run in best[:_SEEDS] if share)
     yield moving
 
 
-def _follow(t: Array, rows: _Rows, still: Array, start: _Rows, q: Array, width: float) -> Choice:
+def _follow_joints(t: Array, rows: _CandidateRows, still: Array, start: _CandidateRows, q: Array, width: float) -> BlobChoice:
     """The nearest candidate in each image to a function of the angles, fitted from some rows on."""
     allowed, chosen, last = rows.only(still < 0), start, -1
-    usual = _usual(q, chosen, width)
+    usual = _usual_residual(q, chosen, width)
     for _ in range(_ROUNDS):
-        place, spread = _predicted(t, chosen, usual, q, width)
+        place, spread = _predict_places(t, chosen, usual, q, width)
         reach = np.hypot(2 * usual, spread)
-        chosen = _nearest(allowed, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0))
+        chosen = _nearest_rows(allowed, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0))
         if len(chosen.frame) < _FEWEST:
-            return _nothing(q)
+            return _empty_choice(q)
         off = np.hypot(*(chosen.place - place[chosen.frame]).T)
-        usual = max(_least(width), float(np.median(off)))
+        usual = max(_least_residual_px(width), float(np.median(off)))
         if len(chosen.frame) <= last:
-            allowed = rows.only(~_foreign(rows, still, place, width))
+            allowed = rows.only(~_rows_at_still_things(rows, still, place, width))
         last = len(chosen.frame)
-    radius, chosen = _of_right_size(q, chosen)
+    radius, chosen = _rows_of_right_size(q, chosen)
     if len(chosen.frame) < _FEWEST:
-        return _nothing(q)
+        return _empty_choice(q)
     for _ in range(2):
-        place, spread = _predicted(t, chosen, usual, q, width)
+        place, spread = _predict_places(t, chosen, usual, q, width)
         reach = np.hypot(2 * usual, spread)
         fitting = allowed.only(_of_predicted_size(allowed, radius))
-        chosen = _nearest(fitting, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0))
+        chosen = _nearest_rows(fitting, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0))
     number = np.full(len(q), -1)
     number[chosen.frame] = chosen.which
     share = joint_motion.explained_share(q[chosen.frame], chosen.place, width)
     beyond = joint_motion.beyond_chance(q, chosen.frame, chosen.place, width)
     near = float(np.median(np.hypot(*(chosen.place - place[chosen.frame]).T)))
-    return Choice(number, place, np.hypot(near, spread), radius, share, beyond, 0.0)
+    return BlobChoice(number, place, np.hypot(near, spread), radius, share, beyond, 0.0)
 
 
-def _of_right_size(q: Array, chosen: _Rows) -> tuple[Array, _Rows]:
+def _rows_of_right_size(q: Array, chosen: _CandidateRows) -> tuple[Array, _CandidateRows]:
     """The radius (N,) px predicted from the joints, and the rows that have it: larger ones are two things in one."""
     radius = np.sqrt(chosen.area / np.pi)
     usual = float(np.median(radius))
     kept = np.flatnonzero(np.abs(radius / usual - 1) < 0.5)
     predicted = np.full(len(q), usual)
     for _ in range(3):
-        some = kept[joint_motion.thinned(len(kept), 300)]
+        some = kept[joint_motion.thin_indices(len(kept), 300)]
         noise = np.full(len(some), 0.05 * usual)
         fitted = joint_motion.Regression.fit(q[chosen.frame[some]], radius[some, None], noise, 0.5 * usual)
         predicted = np.maximum(fitted.predict(q)[0][:, 0], 0.3 * usual)
@@ -215,35 +215,35 @@ def _of_right_size(q: Array, chosen: _Rows) -> tuple[Array, _Rows]:
     return predicted, chosen.only(kept)
 
 
-def _of_predicted_size(rows: _Rows, radius: Array) -> Array:
+def _of_predicted_size(rows: _CandidateRows, radius: Array) -> Array:
     """Which rows (R,) have the area that radius (N,) px predicts for their images."""
     return np.abs(rows.area / (np.pi * radius[rows.frame] ** 2) - 1) < _DIFFERENT
 
 
-def _least(width: float) -> float:
+def _least_residual_px(width: float) -> float:
     return max(1.0, 0.004 * width)
 
 
-def _usual(q: Array, start: _Rows, width: float) -> float:
+def _usual_residual(q: Array, start: _CandidateRows, width: float) -> float:
     """The usual residual (px) of rows in held-out time."""
     order = np.argsort(start.frame, kind="stable")
-    rest = joint_motion.residuals(q[start.frame[order]], start.place[order], width)
-    return max(_least(width), float(np.median(np.hypot(*rest.T))))
+    rest = joint_motion.held_out_place_residuals(q[start.frame[order]], start.place[order], width)
+    return max(_least_residual_px(width), float(np.median(np.hypot(*rest.T))))
 
 
-def _nothing(q: Array) -> Choice:
+def _empty_choice(q: Array) -> BlobChoice:
     unknown = np.full(len(q), np.nan)
-    return Choice(np.full(len(q), -1), np.full((len(q), 2), np.nan), unknown, unknown, 0.0, 0.0, 0.0)
+    return BlobChoice(np.full(len(q), -1), np.full((len(q), 2), np.nan), unknown, unknown, 0.0, 0.0, 0.0)
 
 
-def _predicted(t: Array, chosen: _Rows, std: float, q: Array, width: float) -> tuple[Array, Array]:
+def _predict_places(t: Array, chosen: _CandidateRows, std: float, q: Array, width: float) -> tuple[Array, Array]:
     """The place (N,2) px and spread (N,) px in each image, from the joints and nearby residuals."""
     noise = np.full(len(chosen.frame), std)
-    place, spread = joint_motion.regression(q[chosen.frame], chosen.place, noise, width).predict(q)
-    return place + _left(t, chosen.frame, chosen.place - place[chosen.frame]), spread
+    place, spread = joint_motion.fit_regression(q[chosen.frame], chosen.place, noise, width).predict(q)
+    return place + _nearby_residuals(t, chosen.frame, chosen.place - place[chosen.frame]), spread
 
 
-def _left(t: Array, frame: Array, rest: Array) -> Array:
+def _nearby_residuals(t: Array, frame: Array, rest: Array) -> Array:
     """The median residual (n,2) px within _NEAR s of each image: (N,2); 0 where there are few."""
     low, high = np.searchsorted(t[frame], t - _NEAR), np.searchsorted(t[frame], t + _NEAR, side="right")
     left = np.zeros((len(t), 2))
@@ -256,7 +256,7 @@ def _left(t: Array, frame: Array, rest: Array) -> Array:
     return left
 
 
-def _nearest(rows: _Rows, place: Array, spread: Array) -> _Rows:
+def _nearest_rows(rows: _CandidateRows, place: Array, spread: Array) -> _CandidateRows:
     """The row of each image nearest to its place (N,2) px, if within _REACH spreads (N,) px."""
     away = np.hypot(*(rows.place - place[rows.frame]).T)
     order = np.lexsort((away, rows.frame))
@@ -264,7 +264,7 @@ def _nearest(rows: _Rows, place: Array, spread: Array) -> _Rows:
     return rows.only(first[away[first] <= _REACH * spread[rows.frame[first]]])
 
 
-def _foreign(rows: _Rows, still: Array, place: Array, width: float) -> Array:
+def _rows_at_still_things(rows: _CandidateRows, still: Array, place: Array, width: float) -> Array:
     """Which rows (R,) lie where something also stands while the arm's thing is predicted far away."""
     foreign = np.zeros(len(still), bool)
     for number in range(int(still.max(initial=-1)) + 1):
@@ -276,10 +276,10 @@ def _foreign(rows: _Rows, still: Array, place: Array, width: float) -> Array:
     return foreign
 
 
-def _chosen(rows: _Rows, number: Array) -> _Rows:
+def _chosen_rows(rows: _CandidateRows, number: Array) -> _CandidateRows:
     return rows.only(rows.which == number[rows.frame])
 
 
-def _late(t: Array, rows: _Rows, choice: Choice, joints: Series | None, width: float) -> float:
-    chosen = _chosen(rows, choice.number)
-    return joint_motion.delay(joints, t[chosen.frame], chosen.place, width)
+def _delay_of_choice(t: Array, rows: _CandidateRows, choice: BlobChoice, joints: Series | None, width: float) -> float:
+    chosen = _chosen_rows(rows, choice.number)
+    return joint_motion.camera_delay_s(joints, t[chosen.frame], chosen.place, width)

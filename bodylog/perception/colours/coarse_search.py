@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array
-from .hsv_ranges import Range, mask
+from .hsv_ranges import HsvRange, mask_of_range
 
 CANDIDATES = 4
 FAINT = 8
@@ -33,16 +33,16 @@ class Window(NamedTuple):
     faint: bool
 
 
-def gray(image: Array) -> Array:
+def convert_to_gray(image: Array) -> Array:
     """A picture (H,W,3) BGR in gray, (H,W) uint8, in memory of its own."""
     import cv2
 
-    if _turned(image):
+    if _is_reversed_rgb(image):
         return np.asarray(cv2.cvtColor(np.ascontiguousarray(image[..., ::-1]), cv2.COLOR_RGB2GRAY))
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2GRAY))
 
 
-def windows(images: Mapping[int, Array], ranges: Sequence[Range]) -> Iterator[Window]:
+def find_windows(images: Mapping[int, Array], ranges: Sequence[HsvRange]) -> Iterator[Window]:
     """Windows around finds of each colour in images {number: (H,W,3) BGR}.
 
     At most CANDIDATES and FAINT ones per colour and image; they are copies, so the images may be freed.
@@ -53,17 +53,17 @@ def windows(images: Mapping[int, Array], ranges: Sequence[Range]) -> Iterator[Wi
         of_shape.setdefault((image.shape, image.strides), []).append(picture)
     for ((height, width, _), _), pictures in of_shape.items():
         step = max(1, round(width / _COARSE_WIDTH))
-        seen = _coarse([images[picture] for picture in pictures], step, tuple(ranges))
+        seen = _search_coarsely([images[picture] for picture in pictures], step, tuple(ranges))
         for index in range(len(ranges)):
-            for which, (x, y, w, h), faint in _boxes((seen & seen.dtype.type(1 << index) != 0).view(np.uint8)):
+            for which, (x, y, w, h), faint in _component_boxes((seen & seen.dtype.type(1 << index) != 0).view(np.uint8)):
                 left, top = max(0, (x - 1) * step - _MARGIN), max(0, (y - 1) * step - _MARGIN)
                 image = images[pictures[which]]
                 part = image[top : (y + h) * step + _MARGIN, left : (x + w) * step + _MARGIN]
-                yield Window(pictures[which], index, left, top, (width, height), _copy(part), faint)
+                yield Window(pictures[which], index, left, top, (width, height), _copy_as_bgr(part), faint)
 
 
 @lru_cache
-def _table(ranges: tuple[Range, ...]) -> Array:
+def _range_bits_of_colours(ranges: tuple[HsvRange, ...]) -> Array:
     """A bit for each range in which a colour of 16 bits (65536,) may lie: the middle or a corner of its cell of BGR."""
     import cv2
 
@@ -73,27 +73,27 @@ def _table(ranges: tuple[Range, ...]) -> Array:
     for within in ((4, 2, 4), *product((0, 7), (0, 3), (0, 7))):
         hsv = cv2.cvtColor(lowest + np.array(within, np.uint8), cv2.COLOR_BGR2HSV)
         for index, colour in enumerate(ranges):
-            table[mask(hsv, colour) > 0] |= table.dtype.type(1 << index)
+            table[mask_of_range(hsv, colour) > 0] |= table.dtype.type(1 << index)
     return table.ravel()
 
 
-def _coarse(images: Sequence[Array], step: int, ranges: tuple[Range, ...]) -> Array:
+def _search_coarsely(images: Sequence[Array], step: int, ranges: tuple[HsvRange, ...]) -> Array:
     """Every step-th pixel of every step-th row of images of one shape, a bit for each range: (n,H/step+1,W/step).
 
     The last row of each is empty, so that no component continues into the next image.
     """
     import cv2
 
-    turned = _turned(images[0])
-    some = np.stack([_picked(image[..., ::-1] if turned else image, step) for image in images])
+    turned = _is_reversed_rgb(images[0])
+    some = np.stack([_every_nth_pixel(image[..., ::-1] if turned else image, step) for image in images])
     count, height, width = some.shape[:3]
     some = some.view(np.uint8).reshape(count * height, width, -1)
     code = getattr(cv2, _CODES[turned, some.shape[2]])
-    seen = _table(ranges).take(cv2.cvtColor(some, code).view(np.uint16)[..., 0]).reshape(count, height, width)
+    seen = _range_bits_of_colours(ranges).take(cv2.cvtColor(some, code).view(np.uint16)[..., 0]).reshape(count, height, width)
     return np.concatenate([seen, np.zeros_like(seen[:, :1])], axis=1)
 
 
-def _turned(image: Array) -> bool:
+def _is_reversed_rgb(image: Array) -> bool:
     """Whether an image is a reversed view of RGB."""
     return image.strides[2] == -1
 
@@ -104,7 +104,7 @@ _CODES = {
 }  # fmt: skip
 
 
-def _picked(image: Array, step: int) -> Array:
+def _every_nth_pixel(image: Array, step: int) -> Array:
     """Every step-th pixel of every step-th row: (H/step,W/step,3), or (H/step,W/step) of four bytes, the last idle."""
     height, width = max(1, image.shape[0] // step), image.shape[1] // step
     if step == 1 or not image.flags.c_contiguous:
@@ -113,14 +113,14 @@ def _picked(image: Array, step: int) -> Array:
     return np.ndarray((height, width), np.uint32, image.data, 0, (step * image.strides[0], step * image.strides[1]))
 
 
-def _copy(image: Array) -> Array:
+def _copy_as_bgr(image: Array) -> Array:
     """A copy of an image's pixels in BGR, also where the image is a reversed view of RGB."""
     import cv2
 
-    return np.asarray(cv2.cvtColor(image[..., ::-1], cv2.COLOR_RGB2BGR)) if _turned(image) else image.copy()
+    return np.asarray(cv2.cvtColor(image[..., ::-1], cv2.COLOR_RGB2BGR)) if _is_reversed_rgb(image) else image.copy()
 
 
-def _boxes(seen: Array) -> Iterator[tuple[int, tuple[int, int, int, int], bool]]:
+def _component_boxes(seen: Array) -> Iterator[tuple[int, tuple[int, int, int, int], bool]]:
     """The largest components of each mask (n,h,w), whose last rows are empty: mask; x, y, w, h; whether faint."""
     import cv2
 

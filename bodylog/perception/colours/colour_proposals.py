@@ -6,14 +6,14 @@ import numpy as np
 
 from ...errors import FormatError
 from ...types import Array, Recording
-from .hsv_ranges import SATURATION, VALUE, Range, between, hues, nearest
+from .hsv_ranges import SATURATION, VALUE, HsvRange, range_between, hue_histogram, nearest_hue_name
 
 _LOOKED_AT = 120
 _WIDTH = 9
 _SHARE = 2e-4
 
 
-def picked(recording: Recording) -> Callable[[], Iterator[tuple[float, Array]]]:
+def pick_images(recording: Recording) -> Callable[[], Iterator[tuple[float, Array]]]:
     """Times and images, at most _LOOKED_AT evenly spaced, decoded one by one; undecodable ones are left out."""
     frames = recording.frames or (lambda: iter(()))
     every = -(-sum(1 for _ in frames()) // _LOOKED_AT)
@@ -39,11 +39,11 @@ def why_none(recording: Recording) -> str:
     return "no pictures to look for features in"
 
 
-def peaks(images: Iterable[Array]) -> list[int]:
+def find_hue_peaks(images: Iterable[Array]) -> list[int]:
     """The peaks of the pictures' hue histogram over saturated pixels, each holding a notable share of all pixels."""
     counts, pixels = np.zeros(180), 0
     for image in images:
-        some, of = hues(image)
+        some, of = hue_histogram(image)
         counts, pixels = counts + some, pixels + of
     smooth = np.convolve(np.concatenate([counts[-_WIDTH:], counts, counts[:_WIDTH]]), np.ones(2 * _WIDTH + 1), "valid")
     found: list[int] = []
@@ -54,12 +54,12 @@ def peaks(images: Iterable[Array]) -> list[int]:
     return found
 
 
-def around(hue: int) -> Range:
+def range_around_hue(hue: int) -> HsvRange:
     """The range about a hue 0..179."""
-    return between(((hue - _WIDTH) % 180, SATURATION, VALUE), ((hue + _WIDTH) % 180, 255, 255))
+    return range_between(((hue - _WIDTH) % 180, SATURATION, VALUE), ((hue + _WIDTH) % 180, 255, 255))
 
 
-def name(colour: Range) -> str:
+def name_of_middle_hue(colour: HsvRange) -> str:
     """The name of a range's middle hue."""
     low, high = colour.parts[0][0], colour.parts[-1][1]
-    return nearest((low[0] + ((high[0] - low[0]) % 180) / 2) % 180)
+    return nearest_hue_name((low[0] + ((high[0] - low[0]) % 180) / 2) % 180)

@@ -8,13 +8,13 @@ import numpy as np
 
 from ...errors import InputError
 from ...settings import Colour
-from ...types import Array, ConsumedFrames, Finding, Frame, Health, Series
+from ...types import Array, ConsumedFrames, Finding, LazyImage, Health, Series
 from ..tracking import target_selection
 from ..tracking.contract import Tracker
-from ..tracking.frame_search import FrameSearcher, Seen
+from ..tracking.frame_search import FrameSearcher, SearchedFrames
 from . import clutter, overlap
 from .coarse_search import CANDIDATES
-from .hsv_ranges import Range, covered, hues, nearest, resolve
+from .hsv_ranges import HsvRange, covered_hue_names, hue_histogram, nearest_hue_name, resolve_colour
 
 THREADS: ContextVar[int] = ContextVar("threads", default=2)
 """Threads that search images: one where several logs are processed in parallel."""
@@ -25,28 +25,28 @@ _SEVERAL = 0.02
 Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
 
 
-def searcher(
+def colour_searcher(
     colours: Mapping[str, Colour], progress: Callable[[int], None] | None, fast: bool, trackers: Sequence[Tracker] = ()
 ) -> FrameSearcher:
     """A consumer of images; `progress` gets the number of further ones done, `fast` searches them at half scale.
 
     `trackers` get the same images. Raises ConfigError for an unknown colour.
     """
-    ranges = [resolve(colour, name) for name, colour in colours.items()]
+    ranges = [resolve_colour(colour, name) for name, colour in colours.items()]
     return FrameSearcher(ranges, progress, fast, THREADS.get(), trackers)
 
 
-def search(
-    frames: Callable[[], Iterator[Frame]],
+def search_colours(
+    frames: Callable[[], Iterator[LazyImage]],
     colours: Mapping[str, Colour],
     progress: Callable[[int], None] | None = None,
     fast: bool = False,
     trackers: Sequence[Tracker] = (),
-) -> Seen:
-    """Search images now, as by `searcher`."""
+) -> SearchedFrames:
+    """Search images now, as by `colour_searcher`."""
     t: list[float] = []
     source_ns: list[int] = []
-    with searcher(colours, progress, fast, trackers) as searching:
+    with colour_searcher(colours, progress, fast, trackers) as searching:
         for frame in frames():
             t.append(frame.t)
             source_ns.append(frame.source_ns)
@@ -55,18 +55,18 @@ def search(
     return searching.seen(ConsumedFrames(*times, np.arange(len(t)), searching))
 
 
-def track(
-    frames: Callable[[], Iterator[Frame]],
+def track_colours(
+    frames: Callable[[], Iterator[LazyImage]],
     colours: Mapping[str, Colour],
     progress: Callable[[int], None] | None = None,
     fast: bool = False,
 ) -> Tracks:
-    """The `tracks` of a `search`."""
-    return tracks(search(frames, colours, progress, fast), frames, colours)
+    """The `colour_tracks` of a `search_colours`."""
+    return colour_tracks(search_colours(frames, colours, progress, fast), frames, colours)
 
 
-def tracks(
-    seen: Seen, frames: Callable[[], Iterator[Frame]], colours: Mapping[str, Colour], joints: Series | None = None
+def colour_tracks(
+    seen: SearchedFrames, frames: Callable[[], Iterator[LazyImage]], colours: Mapping[str, Colour], joints: Series | None = None
 ) -> Tracks:
     """One Series (u, v in px with std; NaN where not seen) per named colour, its Health, and findings.
 
@@ -77,38 +77,38 @@ def tracks(
     tracks, health, findings = {}, {}, []
     for index, name in enumerate(colours):
         moves = None if name == "hand" else joints
-        track, reasons = _chosen(t, found[:, index], width, frames, resolve(colours[name], name), moves)
+        track, reasons = _choose_target(t, found[:, index], width, frames, resolve_colour(colours[name], name), moves)
         tracks[name] = Series(t, track[:, :2], ("u", "v"), "px", source_ns, track[:, 2:])
-        health[name] = _health(t, track, reasons, broken)
+        health[name] = _health_of_colour(t, track, reasons, broken)
     unseen = [name for name in colours if health[name].used == 0]
     if not t.size:
         findings.append(Finding("warning", "camera: no picture in this log; no tracks, no strokes"))
     elif unseen and not broken.all():
-        instead = _saturated(frames(), t.size)
-        taken = {other for name, colour in colours.items() for other in covered(resolve(colour, name))}
-        findings += [_unseen(name, colours[name], t.size, instead, taken) for name in unseen]
+        instead = _saturated_shares(frames(), t.size)
+        taken = {other for name, colour in colours.items() for other in covered_hue_names(resolve_colour(colour, name))}
+        findings += [_unseen_finding(name, colours[name], t.size, instead, taken) for name in unseen]
     if broken.any():
         text = f"{int(broken.sum())} of {t.size} pictures could not be decoded"
-        findings.append(Finding("lost", f"{text}, the first for this: {_why(frames(), int(broken.argmax()))}"))
+        findings.append(Finding("lost", f"{text}, the first for this: {_decoding_failure(frames(), int(broken.argmax()))}"))
     return tracks, health, tuple(findings)
 
 
-def _chosen(
-    t: Array, found: Array, width: float, frames: Callable[[], Iterator[Frame]], colour: Range, joints: Series | None
+def _choose_target(
+    t: Array, found: Array, width: float, frames: Callable[[], Iterator[LazyImage]], colour: HsvRange, joints: Series | None
 ) -> tuple[Array, Array]:
     """u, v, std_u, std_v (N,4) px of the target among blobs found (N,PLACES,FIELDS), and why not (N,) str."""
     several = np.count_nonzero(np.isfinite(found[:, 1:, 0]).any(axis=1))
-    choice = clutter.choose(t, found, joints, width) if several > _SEVERAL * len(t) else None
+    choice = clutter.choose_arm_blobs(t, found, joints, width) if several > _SEVERAL * len(t) else None
     if choice is None:
         return target_selection.select_target(t, found[:, :CANDIDATES], width)
-    track, why = target_selection.select_target(t, overlap.settle(found, choice, frames, colour, width), width)
+    track, why = target_selection.select_target(t, overlap.resolve_overlaps(found, choice, frames, colour, width), width)
     why[(choice.number < 0) & np.isfinite(found[:, :, 0]).any(axis=1) & (why == target_selection.HIDDEN)] = (
         target_selection.FOREIGN
     )
     return track, why
 
 
-def _why(frames: Iterator[Frame], number: int) -> str:
+def _decoding_failure(frames: Iterator[LazyImage], number: int) -> str:
     """Why a frame cannot be decoded."""
     try:
         next(islice(frames, number, None)).decode(1)
@@ -117,7 +117,7 @@ def _why(frames: Iterator[Frame], number: int) -> str:
     return "unknown"
 
 
-def _health(t: Array, track: Array, reasons: Array, broken: Array) -> Health:
+def _health_of_colour(t: Array, track: Array, reasons: Array, broken: Array) -> Health:
     """Counts of one track: rejected = frames looked at that gave no point, by reason."""
     used = np.isfinite(track[:, 0])
     reasons = np.where(broken, "undecodable picture", reasons)
@@ -131,25 +131,25 @@ def _health(t: Array, track: Array, reasons: Array, broken: Array) -> Health:
     )
 
 
-def _saturated(frames: Iterator[Frame], count: int) -> dict[str, float]:
+def _saturated_shares(frames: Iterator[LazyImage], count: int) -> dict[str, float]:
     """Share (0..1) of each colour name among all pixels of a dozen pictures, where saturated, largest first."""
     counts, pixels = np.zeros(180), 0
     for index, frame in enumerate(frames):
         if index % max(1, count // 12):
             continue
         try:
-            some, of = hues(frame.decode(1))
+            some, of = hue_histogram(frame.decode(1))
         except InputError:
             continue
         counts, pixels = counts + some, pixels + of
     shares: dict[str, float] = {}
     for hue in np.flatnonzero(counts):
-        name = nearest(float(hue))
+        name = nearest_hue_name(float(hue))
         shares[name] = shares.get(name, 0.0) + float(counts[hue]) / pixels
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
-def _unseen(name: str, colour: Colour, count: int, instead: Mapping[str, float], taken: Collection[str]) -> Finding:
+def _unseen_finding(name: str, colour: Colour, count: int, instead: Mapping[str, float], taken: Collection[str]) -> Finding:
     """Which colours were seen instead; the first one without a feature is proposed."""
     wanted = f"'{colour}'" if isinstance(colour, str) else str(dict(colour))
     shares = {other: share for other, share in instead.items() if share >= _NOTABLE}

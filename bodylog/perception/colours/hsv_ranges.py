@@ -24,23 +24,23 @@ Bound = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
-class Range:
+class HsvRange:
     """A colour's range: one box of HSV (low, high), or two where the hue wraps around; both ends included."""
 
     parts: tuple[tuple[Bound, Bound], ...]
 
 
-def between(low: Bound, high: Bound) -> Range:
+def range_between(low: Bound, high: Bound) -> HsvRange:
     """The range from low to high, across hue 179 where the low hue is above the high hue."""
     if low[0] <= high[0]:
-        return Range(((low, high),))
-    return Range(((low, (180, high[1], high[2])), ((0, low[1], low[2]), high)))
+        return HsvRange(((low, high),))
+    return HsvRange(((low, (180, high[1], high[2])), ((0, low[1], low[2]), high)))
 
 
-def resolve(colour: Colour, key: str) -> Range:
+def resolve_colour(colour: Colour, key: str) -> HsvRange:
     """The HSV range of a setting `key`; raises ConfigError for a name not in the table or bounds out of range."""
     if isinstance(colour, str):
-        return _by_name(colour, key)
+        return _range_by_name(colour, key)
     try:
         bounds = np.array([colour["low"], colour["high"]], dtype=np.int64)
     except (KeyError, TypeError, ValueError):
@@ -51,10 +51,10 @@ def resolve(colour: Colour, key: str) -> Range:
             f"s and v 0..255; type: {key} = {{low = [37, 90, 50], high = [85, 255, 255]}}"
         )
     low, high = bounds.tolist()
-    return between((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+    return range_between((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
-def mask(hsv: Array, colour: Range) -> Array:
+def mask_of_range(hsv: Array, colour: HsvRange) -> Array:
     """255 where hsv (H,W,3) lies in the range, else 0: (H,W) uint8."""
     import cv2
 
@@ -64,7 +64,7 @@ def mask(hsv: Array, colour: Range) -> Array:
     return np.asarray(seen)
 
 
-def hues(image: Array) -> tuple[Array, int]:
+def hue_histogram(image: Array) -> tuple[Array, int]:
     """The hue histogram (180,) of an image's saturated pixels, one in 16, and the number of pixels counted."""
     import cv2
 
@@ -73,33 +73,33 @@ def hues(image: Array) -> tuple[Array, int]:
     return np.bincount(hue[(saturation >= SATURATION) & (value >= VALUE)], minlength=180), hue.size
 
 
-def nearest(hue: float) -> str:
+def nearest_hue_name(hue: float) -> str:
     """The name of an OpenCV hue 0..179."""
-    return min(_NAMED, key=lambda name: abs((hue - _middle(*_NAMED[name]) + 90) % 180 - 90))
+    return min(_NAMED, key=lambda name: abs((hue - _middle_hue(*_NAMED[name]) + 90) % 180 - 90))
 
 
-def covered(colour: Range) -> set[str]:
+def covered_hue_names(colour: HsvRange) -> set[str]:
     """The names of the hues in a range: those whose middle lies in it, and the one nearest its own middle."""
     low, high = colour.parts[0][0][0], colour.parts[-1][1][0]
     span = (high - low) % 180
-    return {nearest(_middle(low, high))} | {name for name in _NAMED if (_middle(*_NAMED[name]) - low) % 180 <= span}
+    return {nearest_hue_name(_middle_hue(low, high))} | {name for name in _NAMED if (_middle_hue(*_NAMED[name]) - low) % 180 <= span}
 
 
-def _middle(low: int, high: int) -> float:
+def _middle_hue(low: int, high: int) -> float:
     return (low + ((high - low) % 180) / 2) % 180
 
 
-def _by_name(colour: str, key: str) -> Range:
+def _range_by_name(colour: str, key: str) -> HsvRange:
     if colour not in _NAMED:
         raise ConfigError(
             f"colours.{key}: found '{colour}'; possible: {', '.join(_NAMED)}, or low and high in HSV; "
-            f'type: {key} = "{_closest(colour)}"'
+            f'type: {key} = "{_closest_colour_name(colour)}"'
         )
     low, high = _NAMED[colour]
-    return between((low, SATURATION, VALUE), (high, 255, 255))
+    return range_between((low, SATURATION, VALUE), (high, 255, 255))
 
 
-def _closest(colour: str) -> str:
+def _closest_colour_name(colour: str) -> str:
     from difflib import get_close_matches
 
     return get_close_matches(colour, _NAMED, n=1, cutoff=0.0)[0]

@@ -30,44 +30,44 @@ class Outline(NamedTuple):
     excess: float
 
 
-def fit(image: Array, centre: Array, radius: float, reach: float) -> Outline | None:
+def fit_outline(image: Array, centre: Array, radius: float, reach: float) -> Outline | None:
     """The circle of `radius` px whose edge an image (H,W,3) shows within `reach` px of that about `centre` (2,) px.
 
     None where too little of it is visible.
     """
     scatter, count = _LEAST, 0
     for turn in range(_TURNS):
-        off = _edges(image, centre, radius, reach) - radius
-        step = _consensus(off, reach) if turn == 0 else np.zeros(2)
-        near = np.abs(off - _directions() @ step) < 2 * _AGREE
+        off = _radii_of_edges(image, centre, radius, reach) - radius
+        step = _consensus_shift(off, reach) if turn == 0 else np.zeros(2)
+        near = np.abs(off - _ray_directions() @ step) < 2 * _AGREE
         for _ in range(_ROBUST):
             count = int(near.sum())
             if count < _ENOUGH * _RAYS:
                 return None
-            step = np.linalg.lstsq(_directions()[near], off[near], rcond=None)[0]
-            rest = np.abs(off - _directions() @ step)
+            step = np.linalg.lstsq(_ray_directions()[near], off[near], rcond=None)[0]
+            rest = np.abs(off - _ray_directions() @ step)
             scatter = max(_LEAST, 1.4826 * float(np.median(rest[near])))
             near = rest <= min(3 * scatter, 2 * _AGREE)
         centre = centre + step
     return Outline(float(centre[0]), float(centre[1]), scatter * float(np.sqrt(2 / count)), float(np.median(off[near])))
 
 
-def _consensus(off: Array, reach: float) -> Array:
+def _consensus_shift(off: Array, reach: float) -> Array:
     """The shift (2,) px, at most `reach` each way, that most rays' edges (R,) px beyond the circle agree on."""
     line = np.linspace(-reach, reach, 2 * int(np.ceil(reach / _AGREE)) + 1)
     shifts = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    away = (off[:, None] - _directions() @ shifts.T) / _AGREE
+    away = (off[:, None] - _ray_directions() @ shifts.T) / _AGREE
     votes = np.where(np.isfinite(away), np.exp(-0.5 * away**2), 0).sum(axis=0)
     return np.asarray(shifts[int(np.argmax(votes - _PULL * np.hypot(*shifts.T) / reach))])
 
 
 @lru_cache
-def _directions() -> Array:
+def _ray_directions() -> Array:
     turn = 2 * np.pi * np.arange(_RAYS) / _RAYS
     return np.column_stack([np.cos(turn), np.sin(turn)])
 
 
-def _edges(image: Array, centre: Array, radius: float, reach: float) -> Array:
+def _radii_of_edges(image: Array, centre: Array, radius: float, reach: float) -> Array:
     """The radius (px) at which each ray crosses half way from the ball's colour to its surround; NaN without an edge.
 
     Both colours are the ray's own, so that shading across the ball moves no edge.
@@ -75,7 +75,7 @@ def _edges(image: Array, centre: Array, radius: float, reach: float) -> Array:
     import cv2
 
     out = np.arange(0.4 * radius, 1.4 * radius + reach + 2, _STEP)
-    u, v = (centre[axis] + _directions()[:, axis, None] * out for axis in (0, 1))
+    u, v = (centre[axis] + _ray_directions()[:, axis, None] * out for axis in (0, 1))
     at = u.astype(np.float32), v.astype(np.float32)
     seen = cv2.remap(image, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     inner, outer = out < 0.85 * radius - 0.5 * reach, out > radius + reach + 0.5

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import InputError
-from ...types import Array, Frame
-from ..tracking.joint_motion import thinned
+from ...types import Array, LazyImage
+from ..tracking.joint_motion import thin_indices
 from . import outline
 from .blob_measurement import BORDER, FIELDS, MASS, STD_U, STD_V, STRENGTH, U, V
-from .clutter import Choice
-from .hsv_ranges import Range, mask
+from .clutter import BlobChoice
+from .hsv_ranges import HsvRange, mask_of_range
 
 _COMPARED, _FEWEST = 60, 10
 _FARTHEST = 0.02
@@ -20,7 +20,7 @@ _FARTHEST = 0.02
 _COLOURED = 0.7
 
 
-def settle(found: Array, choice: Choice, frames: Callable[[], Iterator[Frame]], colour: Range, width: float) -> Array:
+def resolve_overlaps(found: Array, choice: BlobChoice, frames: Callable[[], Iterator[LazyImage]], colour: HsvRange, width: float) -> Array:
     """The arm's blob in each image, (N,1,FIELDS) px, NaN for none: by its outline where no blob of its own was found.
 
     `found` (N,candidates,FIELDS) are the candidates.
@@ -30,9 +30,9 @@ def settle(found: Array, choice: Choice, frames: Callable[[], Iterator[Frame]], 
     rows[there] = found[there, choice.number[there]]
     sure = np.flatnonzero(there & (rows[:, BORDER] == 0))
     asked = np.flatnonzero(~there & (choice.spread < _FARTHEST * width) & np.isfinite(found[:, :, U]).any(axis=1))
-    compared = sure[thinned(len(sure), _COMPARED)] if asked.size else asked
-    parts = _parts(frames, {*asked.tolist(), *compared.tolist()}, choice)
-    circles = {k: _circle(parts[k], choice.radius[k], colour) for k in compared.tolist() if k in parts}
+    compared = sure[thin_indices(len(sure), _COMPARED)] if asked.size else asked
+    parts = _cut_out_parts(frames, {*asked.tolist(), *compared.tolist()}, choice)
+    circles = {k: _fit_ball_outline(parts[k], choice.radius[k], colour) for k in compared.tolist() if k in parts}
     known = {k: circle for k, circle in circles.items() if circle}
     if len(known) >= _FEWEST:
         # a blob's area ends where its colour does, its outline at half of the light
@@ -40,12 +40,12 @@ def settle(found: Array, choice: Choice, frames: Callable[[], Iterator[Frame]], 
         offset = np.array([(circle.u, circle.v) - rows[k, [U, V]] for k, circle in known.items()])
         strength = float(np.median(rows[sure, STRENGTH]))
         for k in asked.tolist():
-            if k in parts and (circle := _circle(parts[k], choice.radius[k] + excess, colour)):
-                rows[k] = _row(circle, offset, float(choice.radius[k]), strength)
+            if k in parts and (circle := _fit_ball_outline(parts[k], choice.radius[k] + excess, colour)):
+                rows[k] = _row_from_outline(circle, offset, float(choice.radius[k]), strength)
     return rows[:, None]
 
 
-def _row(circle: outline.Outline, offset: Array, radius: float, strength: float) -> Array:
+def _row_from_outline(circle: outline.Outline, offset: Array, radius: float, strength: float) -> Array:
     """The fields of a blob whose outline was fitted, as if its centre were measured like those of whole blobs.
 
     `offset` (n,2) px are the outlines' centres minus those of whole blobs.
@@ -58,7 +58,7 @@ def _row(circle: outline.Outline, offset: Array, radius: float, strength: float)
     return row
 
 
-class _Part(NamedTuple):
+class _BallPart(NamedTuple):
     """Pixels (h,w,3) BGR around the predicted ball: their corner (2,), the predicted place (2,) and its spread, px."""
 
     pixels: Array
@@ -67,41 +67,41 @@ class _Part(NamedTuple):
     spread: float
 
 
-def _parts(frames: Callable[[], Iterator[Frame]], wanted: set[int], choice: Choice) -> dict[int, _Part]:
+def _cut_out_parts(frames: Callable[[], Iterator[LazyImage]], wanted: set[int], choice: BlobChoice) -> dict[int, _BallPart]:
     """The parts of some images around the predicted place, by image number."""
-    found: dict[int, _Part] = {}
+    found: dict[int, _BallPart] = {}
     last = max(wanted, default=-1)
     for number, frame in enumerate(frames()) if wanted else ():
         if number in wanted:
             with suppress(InputError):
-                found[number] = _part(frame.decode(1), choice, number)
+                found[number] = _cut_out_part(frame.decode(1), choice, number)
         if number >= last:
             break
     return found
 
 
-def _part(image: Array, choice: Choice, number: int) -> _Part:
+def _cut_out_part(image: Array, choice: BlobChoice, number: int) -> _BallPart:
     place, spread = choice.place[number], float(choice.spread[number])
     margin = int(np.ceil(2 * choice.radius[number] + 3 * spread)) + 4
     corner = np.maximum(0, place.astype(int) - margin)
     end = np.maximum(0, place.astype(int) + margin)
-    return _Part(np.ascontiguousarray(image[corner[1] : end[1], corner[0] : end[0]]), corner, place, spread)
+    return _BallPart(np.ascontiguousarray(image[corner[1] : end[1], corner[0] : end[0]]), corner, place, spread)
 
 
-def _circle(part: _Part, radius: float, colour: Range) -> outline.Outline | None:
+def _fit_ball_outline(part: _BallPart, radius: float, colour: HsvRange) -> outline.Outline | None:
     """The outline (px of the image) of a ball of that radius near its predicted place, if whole and of its colour."""
     import cv2
 
     if min(part.pixels.shape[:2]) < 2 * radius:
         return None
     reach = max(2.5, 2 * part.spread)
-    circle = outline.fit(part.pixels.astype(np.float32), part.place - part.corner, radius, reach)
+    circle = outline.fit_outline(part.pixels.astype(np.float32), part.place - part.corner, radius, reach)
     if circle is None:
         return None
     height, width = part.pixels.shape[:2]
     down, across = np.mgrid[:height, :width]
     inside = np.hypot(across - circle.u, down - circle.v) < 0.8 * radius
-    seen = mask(cv2.cvtColor(part.pixels, cv2.COLOR_BGR2HSV), colour)[inside] > 0
+    seen = mask_of_range(cv2.cvtColor(part.pixels, cv2.COLOR_BGR2HSV), colour)[inside] > 0
     whole = min(circle.u, circle.v, width - 1 - circle.u, height - 1 - circle.v) >= 0.9 * radius
     if not whole or not seen.size or seen.mean() < _COLOURED:
         return None

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array
-from ..tags.quads import sample
+from ..tags.quads import sample_gray
 
 _TURNS, _STILL = 15, 0.01
 _EXCESS = 2.5
@@ -49,11 +49,11 @@ class Patch:
         return float(np.linalg.eigvalsh(gradient.T @ gradient)[0] / len(self.grid) / _LEAST_EDGE)
 
 
-def cut(gray: Array, uv: Array, half: int) -> Patch | None:
+def cut_patch(gray: Array, uv: Array, half: int) -> Patch | None:
     """The patch about a place (2,) px; None where it leaves the image."""
     side = np.arange(-half, half + 1.0)
     grid = np.stack(np.meshgrid(side, side), axis=-1)
-    about = sample(gray, grid + uv)
+    about = sample_gray(gray, grid + uv)
     if not np.isfinite(about).all():
         return None
     down, across = np.gradient(about)
@@ -64,12 +64,12 @@ def cut(gray: Array, uv: Array, half: int) -> Patch | None:
     return Patch(half, grid.reshape(-1, 2), levels, columns, np.linalg.pinv(columns), inverse)
 
 
-def at(uv: Array) -> Array:
+def map_at_place(uv: Array) -> Array:
     """The map (2,3) of a patch that lies upright at a place (2,) px."""
     return np.column_stack([np.eye(2), uv])
 
 
-def lay(gray: Array, patch: Patch, begin: Array) -> Laid | None:
+def align_patch(gray: Array, patch: Patch, begin: Array) -> Laid | None:
     """Align the patch with the image near a map (2,3), in any light; None where it leaves the image.
 
     None also where it would turn too far from the camera. Inverse compositional Gauss-Newton (Baker & Matthews
@@ -77,15 +77,15 @@ def lay(gray: Array, patch: Patch, begin: Array) -> Laid | None:
     """
     map_ = begin
     for _ in range(_TURNS):
-        levels = sample(gray, (patch.grid @ map_[:, :2].T + map_[:, 2])[None])[0]
+        levels = sample_gray(gray, (patch.grid @ map_[:, :2].T + map_[:, 2])[None])[0]
         if not np.isfinite(levels).all():
             return None
         found = patch.solve @ levels
         if found[6] <= 0.1:
             return None
         by = found[:6] / found[6]
-        map_ = _without(map_, by)
-        if not _sound(map_):
+        map_ = _compose_with_inverse(map_, by)
+        if not _is_sound_map(map_):
             return None
         if np.abs(by[4:]).max() < _STILL:
             break
@@ -98,7 +98,7 @@ def lay(gray: Array, patch: Patch, begin: Array) -> Laid | None:
     return Laid(map_, float(np.sqrt(max(correlation, 0.0))), cov)
 
 
-def drawn(patch: Patch, map_: Array) -> Array:
+def draw_patch(patch: Patch, map_: Array) -> Array:
     """The patch (2 half + 1)² uint8 after a map (2,3) about its middle."""
     import cv2
 
@@ -110,14 +110,14 @@ def drawn(patch: Patch, map_: Array) -> Array:
     return np.asarray(np.clip(np.rint(seen), 0, 255).astype(np.uint8))
 
 
-def _without(map_: Array, by: Array) -> Array:
+def _compose_with_inverse(map_: Array, by: Array) -> Array:
     """The map after the inverse of x -> x + (a x + b y + e, c x + d y + f)."""
     turn = np.eye(2) + by[:4].reshape(2, 2)
     inverse = np.linalg.pinv(turn)
     return np.column_stack([map_[:, :2] @ inverse, map_[:, 2] - map_[:, :2] @ inverse @ by[4:]])
 
 
-def _sound(map_: Array) -> bool:
+def _is_sound_map(map_: Array) -> bool:
     """Whether the map neither mirrors the patch nor stretches it more than a view from the side does."""
     wide, thin = np.linalg.svd(map_[:, :2], compute_uv=False)
     return bool(np.linalg.det(map_[:, :2]) > 0 and thin > 0.3 and wide < 3.0 and wide / thin < 3.0)

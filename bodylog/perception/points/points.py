@@ -6,8 +6,8 @@ import numpy as np
 
 from ...errors import EvidenceError, InputError
 from ...sources import PointSource
-from ...types import Array, Frame
-from ..colours.coarse_search import gray
+from ...types import Array, LazyImage
+from ..colours.coarse_search import convert_to_gray
 from ..tracking.contract import HIDDEN, UNDECODABLE, Tracked
 from . import patch
 from .patch import Laid, Patch
@@ -26,15 +26,15 @@ _ANGLES = 12
 RIVAL = "two candidates"
 
 
-def tracked(
-    frames: Callable[[], Iterator[Frame]], points: Mapping[str, PointSource], where: str = "image"
+def track_points(
+    frames: Callable[[], Iterator[LazyImage]], points: Mapping[str, PointSource], where: str = "image"
 ) -> list[Tracked]:
     """Track each point through all frames, which are read twice; EvidenceError where one cannot be tracked."""
-    firsts = {name: _first(frames, point, f"{where}: features.{name}") for name, point in points.items()}
+    firsts = {name: _patch_about_point(frames, point, f"{where}: features.{name}") for name, point in points.items()}
     trackers = [PointTracker(name, *first) for name, first in firsts.items()]
     for frame in frames() if trackers else ():
         try:
-            image = gray(frame.decode(1))
+            image = convert_to_gray(frame.decode(1))
         except InputError:
             image = None
         for tracker in trackers:
@@ -48,7 +48,7 @@ class PointTracker:
     def __init__(self, name: str, first: Patch, uv: Array) -> None:
         """`uv` (2,) px is where the patch was cut out."""
         self._name, self._patch = name, first
-        self._shown: Laid = Laid(patch.at(uv), 1.0, np.eye(2))
+        self._shown: Laid = Laid(patch.map_at_place(uv), 1.0, np.eye(2))
         self._step: Array | None = None
         self._rows: list[Array] = []
         self._reasons: list[str] = []
@@ -84,7 +84,7 @@ class PointTracker:
         low = np.clip(np.floor(middle - reach), 0, None).astype(int)
         high = np.ceil(middle + reach).astype(int) + 1
         part = image[low[1] : high[1], low[0] : high[0]]
-        places, _ = _matches(part, patch.drawn(self._patch, self._shown.map))
+        places, _ = _best_matches(part, patch.draw_patch(self._patch, self._shown.map))
         return self._fitted(image, places[0] + low, self._shown.map, _FOLLOWED) if len(places) else None
 
     def _anywhere(self, image: Array) -> tuple[Laid | None, str]:
@@ -95,12 +95,12 @@ class PointTracker:
             return None, HIDDEN
         small = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         for map_ in (self._shown.map, self._turned()):
-            shown = cv2.resize(patch.drawn(self._patch, map_), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-            places, correlation = _matches(small, np.asarray(shown))
+            shown = cv2.resize(patch.draw_patch(self._patch, map_), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+            places, correlation = _best_matches(small, np.asarray(shown))
             if len(places) and correlation[0] >= _CANDIDATE:
                 fits = [self._fitted(image, 2 * place + 0.5, map_, _FOUND) for place in places]
                 good = sorted((fit for fit in fits if fit), key=lambda fit: -fit.correlation)
-                if len(good) > 1 and good[0].correlation - good[1].correlation < _APART and _far(good[0], good[1]):
+                if len(good) > 1 and good[0].correlation - good[1].correlation < _APART and _are_far_apart(good[0], good[1]):
                     return None, RIVAL
                 if good:
                     return good[0], ""
@@ -114,16 +114,16 @@ class PointTracker:
         return np.column_stack([turn, self._shown.uv])
 
     def _fitted(self, image: Array, place: Array, map_: Array, least: float) -> Laid | None:
-        laid = patch.lay(image, self._patch, np.column_stack([map_[:, :2], place]))
+        laid = patch.align_patch(image, self._patch, np.column_stack([map_[:, :2], place]))
         near = laid is not None and np.linalg.norm(laid.uv - place) <= self._patch.half / 2
         return laid if laid is not None and near and laid.correlation >= least else None
 
 
-def _far(first: Laid, second: Laid) -> bool:
+def _are_far_apart(first: Laid, second: Laid) -> bool:
     return bool(np.linalg.norm(first.uv - second.uv) > 2)
 
 
-def _matches(image: Array, shown: Array) -> tuple[Array, Array]:
+def _best_matches(image: Array, shown: Array) -> tuple[Array, Array]:
     """The two best places (≤2,2) px of a patch, a patch apart, and their correlations (≤2,)."""
     import cv2
 
@@ -140,16 +140,16 @@ def _matches(image: Array, shown: Array) -> tuple[Array, Array]:
     return np.array(places), np.array(values)
 
 
-def _first(frames: Callable[[], Iterator[Frame]], point: PointSource, key: str) -> tuple[Patch, Array]:
+def _patch_about_point(frames: Callable[[], Iterator[LazyImage]], point: PointSource, key: str) -> tuple[Patch, Array]:
     """The patch about a point in the frame nearest its time."""
     frame = min(frames(), key=lambda frame: abs(frame.t - point.at), default=None)
     if frame is None or abs(frame.t - point.at) > _LATE:
         nearest = "the log has no image" if frame is None else f"the nearest is at {frame.t:.3f} s"
         raise EvidenceError(f"{key}.at is {point.at:g} s, but no image was taken then: {nearest}")
-    image, uv = gray(frame.decode(1)), np.array(point.point)
+    image, uv = convert_to_gray(frame.decode(1)), np.array(point.point)
     height, width = image.shape
     half = max(6, round(_HALF * width))
-    found = patch.cut(image, uv, half)
+    found = patch.cut_patch(image, uv, half)
     if found is None:
         possible = f"{half} to {width - 1 - half}, {half} to {height - 1 - half} px"
         raise EvidenceError(f"{key}.point is {list(point.point)}; possible: {possible}")

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from ...errors import InputError
-from ...types import Array, Frame
-from ..colours.coarse_search import gray
+from ...types import Array, LazyImage
+from ..colours.coarse_search import convert_to_gray
 from .repeats import FrameRepeats, RepeatSearch, shrink_grey, shrunken_frames
 
 LONGEST_FRAMES = 60
@@ -69,7 +69,7 @@ class PictureSurvey:
     median: Array | None
 
 
-def survey_pictures(frames: Callable[[], Iterable[Frame]]) -> PictureSurvey:
+def survey_pictures(frames: Callable[[], Iterable[LazyImage]]) -> PictureSurvey:
     """Look at all frames once, shrunken; memory for images does not grow with the film."""
     search, samples, every = RepeatSearch(), list[Array](), 1
     for n, (t, small) in enumerate(shrunken_frames(frames())):
@@ -82,7 +82,7 @@ def survey_pictures(frames: Callable[[], Iterable[Frame]]) -> PictureSurvey:
     return PictureSurvey(search.repeats(), median)
 
 
-def track_corners(frames: Callable[[], Iterable[Frame]], most_pieces: int = 1200) -> tuple[CornerTracks, PictureSurvey]:
+def track_corners(frames: Callable[[], Iterable[LazyImage]], most_pieces: int = 1200) -> tuple[CornerTracks, PictureSurvey]:
     """Track the corners of a camera's frames, which are read twice.
 
     Of more than `most_pieces` pieces a fixed random choice is kept, so that memory does not grow with the film. Frames
@@ -95,7 +95,7 @@ def track_corners(frames: Callable[[], Iterable[Frame]], most_pieces: int = 1200
         if frame.t in repeated:
             continue
         try:
-            image = gray(frame.decode(1))
+            image = convert_to_gray(frame.decode(1))
         except InputError:
             continue
         tracker.add(frame.t, image)
@@ -103,7 +103,7 @@ def track_corners(frames: Callable[[], Iterable[Frame]], most_pieces: int = 1200
 
 
 @dataclass(eq=False)
-class _Piece:
+class _CornerPiece:
     """A corner that is being tracked."""
 
     frames: list[int] = field(default_factory=list)
@@ -119,8 +119,8 @@ class CornerTracker:
         self._most = most_pieces
         self._t: list[float] = []
         self._image: Array | None = None
-        self._alive: list[_Piece] = []
-        self._kept: list[tuple[float, _Piece]] = []
+        self._alive: list[_CornerPiece] = []
+        self._kept: list[tuple[float, _CornerPiece]] = []
         self._random = np.random.default_rng(_SEED)
         self._least_rank = 1.0
 
@@ -155,13 +155,13 @@ class CornerTracker:
             return
         assert self._image is not None
         before = np.array([piece.places[-1] for piece in self._alive], np.float32)
-        after, found = _flow(self._image, image, before)
-        back, found_back = _flow(image, self._image, after)
+        after, found = _flow_of_corners(self._image, image, before)
+        back, found_back = _flow_of_corners(image, self._image, after)
         height, width = image.shape
         inside = (after > 0).all(axis=1) & (after[:, 0] < width - 1) & (after[:, 1] < height - 1)
         close = np.linalg.norm(back - before, axis=1) <= _BACKWARD_PX
         sound = found & found_back & inside & close
-        alive, ended = list[_Piece](), list[_Piece]()
+        alive, ended = list[_CornerPiece](), list[_CornerPiece]()
         for piece, place, good in zip(self._alive, after.tolist(), sound.tolist(), strict=True):
             if good:
                 piece.frames.append(number)
@@ -190,7 +190,7 @@ class CornerTracker:
             if corners is None:
                 continue
             refined = corners.reshape(-1, 2)
-            self._alive += [_Piece([number], [(float(u), float(v))]) for u, v in refined]
+            self._alive += [_CornerPiece([number], [(float(u), float(v))]) for u, v in refined]
 
     def _moving(self, image: Array) -> Array | None:
         """Where an image differs from the median picture (H,W) 0 or 255; None where there is none to compare."""
@@ -204,7 +204,7 @@ class CornerTracker:
         height, width = image.shape
         return np.asarray(cv2.resize(grown, (width, height), interpolation=cv2.INTER_NEAREST))
 
-    def _end(self, pieces: Iterable[_Piece]) -> None:
+    def _end(self, pieces: Iterable[_CornerPiece]) -> None:
         for piece in pieces:
             rank = float(self._random.random())
             if len(piece.frames) >= SHORTEST_FRAMES and rank < self._least_rank:
@@ -220,7 +220,7 @@ class CornerTracker:
             self._least_rank = self._kept[-1][0]
 
 
-def _flow(image: Array, other: Array, places: Array) -> tuple[Array, Array]:
+def _flow_of_corners(image: Array, other: Array, places: Array) -> tuple[Array, Array]:
     """Where places (n,2) px of an image are in another, and whether they were found (n,)."""
     import cv2
 
@@ -233,10 +233,10 @@ def _flow(image: Array, other: Array, places: Array) -> tuple[Array, Array]:
 
 def moving_pieces(tracks: CornerTracks, least_px: float = LEAST_MOTION_PX) -> Array:
     """Numbers of the pieces that cover at least a rectangle of this diagonal, px."""
-    return np.array([k for k, uv in enumerate(split(tracks)) if np.linalg.norm(np.ptp(uv, axis=0)) >= least_px], int)
+    return np.array([k for k, uv in enumerate(places_by_piece(tracks)) if np.linalg.norm(np.ptp(uv, axis=0)) >= least_px], int)
 
 
-def split(tracks: CornerTracks) -> Iterator[Array]:
+def places_by_piece(tracks: CornerTracks) -> Iterator[Array]:
     """Yield each piece's places (n,2) px."""
     bounds = np.searchsorted(tracks.piece, np.arange(tracks.count + 1))
     for begin, end in pairwise(bounds):

@@ -8,8 +8,8 @@ import numpy as np
 
 from ...errors import InputError
 from ...logs.datasets.checks import block_means
-from ...types import Array, Frame
-from ..colours.coarse_search import gray
+from ...types import Array, LazyImage
+from ..colours.coarse_search import convert_to_gray
 from .repeats import SHRINK, FrameRepeats, RepeatSearch, shrink_grey
 
 FLOW_WIDTH_PX = 320
@@ -45,7 +45,7 @@ class GridFlow:
     size: tuple[int, int]
 
 
-def measure_grid_flow(frames: Iterable[Frame]) -> GridFlow | None:
+def measure_grid_flow(frames: Iterable[LazyImage]) -> GridFlow | None:
     """Decode frames once, find repeats, and measure flow between distinct ones; None without two frames.
 
     A frame may decode to a grey image (H,W) as well.
@@ -66,7 +66,7 @@ def measure_grid_flow(frames: Iterable[Frame]) -> GridFlow | None:
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
     before: Array | None = None
     size = (0, 0)
-    for t, image in _grey_frames(frames):
+    for t, image in _decoded_grey_frames(frames):
         if not times:
             size = (image.shape[1], image.shape[0])
         elif (image.shape[1], image.shape[0]) != size:
@@ -127,12 +127,12 @@ class _SpreadPictures:
         return tuple(self._pictures[number] for number in numbers.round().astype(int).tolist())
 
 
-def _grey_frames(frames: Iterable[Frame]) -> Iterator[tuple[float, Array]]:
+def _decoded_grey_frames(frames: Iterable[LazyImage]) -> Iterator[tuple[float, Array]]:
     """Yield time (s) and grey image (H,W) uint8 of each frame that can be decoded."""
     for frame in frames:
         try:
             image = frame.decode(1)
-            yield frame.t, image if image.ndim == 2 else gray(image)
+            yield frame.t, image if image.ndim == 2 else convert_to_gray(image)
         except InputError:
             continue
 

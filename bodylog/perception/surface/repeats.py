@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import InputError
-from ...types import Array, Frame
-from ..colours.coarse_search import gray
+from ...types import Array, LazyImage
+from ..colours.coarse_search import convert_to_gray
 
 SHRINK = 4
 """Images are compared at this fraction of their size."""
@@ -89,11 +89,11 @@ class RepeatSearch:
     def repeats(self) -> FrameRepeats:
         """Judge the frames so far."""
         change, equal = np.array(self._change), np.array(self._equal, bool)
-        repeated, judged = _judge(change, equal)
+        repeated, judged = _judge_repeats(change, equal)
         return FrameRepeats(np.array(self._t), repeated, judged, change)
 
 
-def find_repeats(frames: Callable[[], Iterable[Frame]]) -> FrameRepeats:
+def find_repeats(frames: Callable[[], Iterable[LazyImage]]) -> FrameRepeats:
     """Judge all frames of a camera; frames that cannot be decoded are left out."""
     search = RepeatSearch()
     for t, small in shrunken_frames(frames()):
@@ -101,20 +101,20 @@ def find_repeats(frames: Callable[[], Iterable[Frame]]) -> FrameRepeats:
     return search.repeats()
 
 
-def shrunken_frames(frames: Iterable[Frame]) -> Iterator[tuple[float, Array]]:
+def shrunken_frames(frames: Iterable[LazyImage]) -> Iterator[tuple[float, Array]]:
     """Yield time (s) and shrunken grey image (h,w) uint8 of each frame that can be decoded."""
     for frame in frames:
         try:
-            yield frame.t, shrunken(frame)
+            yield frame.t, shrink_frame(frame)
         except InputError:
             continue
 
 
-def shrunken(frame: Frame) -> Array:
+def shrink_frame(frame: LazyImage) -> Array:
     """A frame in grey, shrunken by means of pixels, (h,w) uint8. InputError where it cannot be decoded."""
     if frame.shrinks:
-        return gray(frame.decode(SHRINK))
-    return shrink_grey(gray(frame.decode(1)))
+        return convert_to_gray(frame.decode(SHRINK))
+    return shrink_grey(convert_to_gray(frame.decode(1)))
 
 
 def shrink_grey(image: Array) -> Array:
@@ -126,14 +126,14 @@ def shrink_grey(image: Array) -> Array:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
-def _judge(change: Array, equal: Array) -> tuple[Array, Array]:
+def _judge_repeats(change: Array, equal: Array) -> tuple[Array, Array]:
     """Which frames repeat their predecessor, and for which that can be decided, both (N,)."""
     finite = change[np.isfinite(change) & ~equal]
     noise = min(float(np.percentile(finite, 5.0)), _MOST_NOISE_GREY) if len(finite) else 0.0
     motion = np.where(np.isfinite(change) & ~equal, np.maximum(change - noise, 0.0), 0.0)
     first = ~np.isfinite(change)
-    before, slows = _beside(motion)
-    after, quickens = (part[::-1] for part in _beside(motion[::-1]))
+    before, slows = _motion_before_frames(motion)
+    after, quickens = (part[::-1] for part in _motion_before_frames(motion[::-1]))
     beside = np.minimum(before, after)
     between_motion = (beside >= _LEAST_MOTION_GREY) & (motion <= _REPEAT_SHARE * beside) & ~(slows & quickens) & ~first
     repeated = (equal & ~first) | between_motion
@@ -142,7 +142,7 @@ def _judge(change: Array, equal: Array) -> tuple[Array, Array]:
     return repeated, judged
 
 
-def _beside(motion: Array) -> tuple[Array, Array]:
+def _motion_before_frames(motion: Array) -> tuple[Array, Array]:
     """The greater motion of the two frames before each, and whether the motion was falling before it, both (N,)."""
     padded = np.pad(motion, (4, 0))
     last = np.arange(len(motion)) + 3

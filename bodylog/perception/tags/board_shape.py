@@ -36,8 +36,8 @@ def recognise_board(images: Sequence[search.Tags]) -> BoardShape | None:
     found = []
     for columns in range(2, _MOST_COLUMNS + 1):
         for parity in (1, 0):
-            middles = _middles(columns, parity, last + 1)
-            fitted = [one for tags in seen if (one := _fitted(middles, tags)) is not None]
+            middles = _middles_of_markers(columns, parity, last + 1)
+            fitted = [one for tags in seen if (one := _misfit_to_squares(middles, tags)) is not None]
             if fitted:
                 off = float(np.median([distance for distance, _ in fitted]))
                 marker = float(np.median([side for _, side in fitted]))
@@ -48,20 +48,20 @@ def recognise_board(images: Sequence[search.Tags]) -> BoardShape | None:
     if len(found) > 1 and found[0][0] > _CLEARER * found[1][0]:
         return None
     _, columns, parity, marker = found[0]
-    rows = int(_middles(columns, parity, last + 1)[-1, 1] + 0.5)
+    rows = int(_middles_of_markers(columns, parity, last + 1)[-1, 1] + 0.5)
     # where the first square is white, the number of rows is even
     rows += parity == 0 and rows % 2 == 1
     return BoardShape(columns, max(rows, 2), marker) if 0.0 < marker < 1.0 else None
 
 
-def _middles(columns: int, parity: int, count: int) -> Array:
+def _middles_of_markers(columns: int, parity: int, count: int) -> Array:
     """Middles (count,2) of the first markers, in squares; parity: x + y of white squares, modulo 2."""
     rows = 2 * count // columns + 2
     white = [(x, y) for y in range(rows) for x in range(columns) if (x + y) % 2 == parity]
     return np.array(white[:count]) + 0.5
 
 
-def _fitted(middles: Array, tags: search.Tags) -> tuple[float, float] | None:
+def _misfit_to_squares(middles: Array, tags: search.Tags) -> tuple[float, float] | None:
     """How far markers are from squares at their places (90th percentile), and their side, in sides of a square.
 
     None where no plane holds them.
@@ -74,7 +74,7 @@ def _fitted(middles: Array, tags: search.Tags) -> tuple[float, float] | None:
     pose, _ = cv2.findHomography(tags.centres, plane, 0)
     if pose is None:
         return None
-    corners = quads.project(np.asarray(pose)[None], tags.quads.reshape(-1, 2))[0].reshape(-1, 4, 2)
+    corners = quads.apply_homographies(np.asarray(pose)[None], tags.quads.reshape(-1, 2))[0].reshape(-1, 4, 2)
     square = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     about = corners - plane[:, None]
     # markers are squares along the board's sides: a sheared board has places for all middles, but not for these

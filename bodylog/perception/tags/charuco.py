@@ -10,7 +10,7 @@ from ...types import Array, Finding
 from ..tracking.contract import HIDDEN, UNDECODABLE, Tracked, Tracker
 from . import quads, saddle, search
 from .board_shape import recognise_board
-from .codes import codes, read
+from .codes import load_codes, decode_cells
 
 _LEAST_MARKERS, _MOST_OF = 3, 0.5
 _OFF = 3.0
@@ -30,7 +30,7 @@ _NEAR = 2.5
 """Squares: largest distance of a corner from a marker that was read."""
 
 
-class Layout(NamedTuple):
+class BoardLayout(NamedTuple):
     """A board: its inner corners (K,2) and its markers' (n,4,2), in squares.
 
     white (K,4): which of each corner's four squares, from top left clockwise, are white.
@@ -41,7 +41,7 @@ class Layout(NamedTuple):
     white: Array
 
 
-class Seen(NamedTuple):
+class SeenBoard(NamedTuple):
     """A board in a frame: H (3,3) from squares to px · corners (K,2) px, NaN where not seen · cov (K,2,2) px²."""
 
     pose: Array
@@ -49,12 +49,12 @@ class Seen(NamedTuple):
     cov: Array
 
 
-def trackers(features: Mapping[str, CharucoSource]) -> list[Tracker]:
+def charuco_trackers(features: Mapping[str, CharucoSource]) -> list[Tracker]:
     """One per board."""
     return [CharucoTracker(name, source) for name, source in features.items()]
 
 
-def layout(source: CharucoSource, legacy: bool) -> Layout:
+def lay_out_board(source: CharucoSource, legacy: bool) -> BoardLayout:
     """Where corners and markers lie on a board."""
     columns, rows = source.shape
     corners = np.array(board_points(source))[:, :2] / source.square
@@ -66,7 +66,7 @@ def layout(source: CharucoSource, legacy: bool) -> Layout:
     cells = np.floor(corners[:, None] + about).astype(int)
     known = set(white)
     around = [[tuple(cell) in known for cell in four] for four in cells.tolist()]
-    return Layout(corners, middle[:, None] + square, np.array(around))
+    return BoardLayout(corners, middle[:, None] + square, np.array(around))
 
 
 class CharucoTracker:
@@ -78,9 +78,9 @@ class CharucoTracker:
         # an odd number of rows begins and ends with a black square in both patterns
         same_pattern = source.shape[1] % 2 == 1
         kinds = (False, True) if source.legacy is None and not same_pattern else (bool(source.legacy),)
-        self._layouts = {legacy: layout(source, legacy) for legacy in kinds}
+        self._layouts = {legacy: lay_out_board(source, legacy) for legacy in kinds}
         self._votes = dict.fromkeys(self._layouts, 0)
-        self._frames: list[Seen | None] = []
+        self._frames: list[SeenBoard | None] = []
         self._broken: list[int] = []
         self._read = 0
         self._tags: list[search.Tags] = []
@@ -127,25 +127,25 @@ class CharucoTracker:
     def _legacy(self) -> bool:
         return max(self._votes, key=lambda legacy: self._votes[legacy])
 
-    def _layout(self) -> Layout:
+    def _layout(self) -> BoardLayout:
         return self._layouts[self._legacy()]
 
-    def _anywhere(self, gray: Array) -> Seen | None:
+    def _anywhere(self, gray: Array) -> SeenBoard | None:
         """The board, from its markers in the whole image."""
         count = len(self._layout().markers)
-        tags = search.whole(gray, codes(self._source.dictionary), np.arange(count))
+        tags = search.search_whole_image(gray, load_codes(self._source.dictionary), np.arange(count))
         self._read += len(tags.number)
         if len(self._tags) < _REMEMBERED:
             self._tags.append(tags)
         if len(tags.number) < _LEAST_MARKERS:
             return None
-        poses = {legacy: _pose(board, tags) for legacy, board in self._layouts.items()}
+        poses = {legacy: _homography_of_markers(board, tags) for legacy, board in self._layouts.items()}
         for legacy, (_, count) in poses.items():
             self._votes[legacy] += count
         pose, _ = poses[self._legacy()]
         return None if pose is None else self._measured(gray, pose)
 
-    def _followed(self, gray: Array) -> Seen | None:
+    def _followed(self, gray: Array) -> SeenBoard | None:
         """The board at its expected place, if most of its corners and its own markers are there."""
         expected = self._expected()
         if expected is None:
@@ -164,35 +164,35 @@ class CharucoTracker:
             return None
         before = self._frames[-2] if len(self._frames) > 1 else None
         moved = last.uv + (last.uv - before.uv if before is not None else 0.0)
-        return _homography(self._layout().corners, moved)
+        return _fit_homography(self._layout().corners, moved)
 
-    def _measured(self, gray: Array, pose: Array) -> Seen | None:
+    def _measured(self, gray: Array, pose: Array) -> SeenBoard | None:
         """The board's corners near their places by H (3,3) from squares to px."""
         board = self._layout()
         gap = (1 - self._source.marker / self._source.square) / 2
         for _ in range(2):
-            uv = quads.project(pose[None], board.corners)[0]
-            reach = np.clip(_REACH * gap * _scale(pose, board.corners), 1.5, 6.0)
-            found = saddle.refine(gray, uv, reach)
-            found = _kept(gray, pose, board, found)
-            better = _homography(board.corners, found.uv)
+            uv = quads.apply_homographies(pose[None], board.corners)[0]
+            reach = np.clip(_REACH * gap * _side_of_square_px(pose, board.corners), 1.5, 6.0)
+            found = saddle.refine_saddles(gray, uv, reach)
+            found = _drop_corners_off_board(gray, pose, board, found)
+            better = _fit_homography(board.corners, found.uv)
             if better is None:
                 return None
             pose = better
         near = self._near_read(gray, pose, board)
         if near is None:
             return None
-        return Seen(pose, np.where(near[:, None], found.uv, np.nan), found.cov)
+        return SeenBoard(pose, np.where(near[:, None], found.uv, np.nan), found.cov)
 
-    def _near_read(self, gray: Array, pose: Array, board: Layout) -> Array | None:
+    def _near_read(self, gray: Array, pose: Array, board: BoardLayout) -> Array | None:
         """Corners (K,) bool near markers that read as their own; None where fewer than a few do."""
-        known = codes(self._source.dictionary)
-        places = quads.project(pose[None], board.markers.reshape(-1, 2))[0].reshape(-1, 4, 2)
-        bits, _ = quads.cells(gray, places, known.side)
+        known = load_codes(self._source.dictionary)
+        places = quads.apply_homographies(pose[None], board.markers.reshape(-1, 2))[0].reshape(-1, 4, 2)
+        bits, _ = quads.sample_cells(gray, places, known.side)
         there = np.flatnonzero(np.isfinite(bits).all(axis=1))
         if not there.size:
             return None
-        seen = read(bits[there], known, np.arange(len(board.markers)))
+        seen = decode_cells(bits[there], known, np.arange(len(board.markers)))
         own = there[(seen.tag == there) & (seen.turn == 0) & (seen.wrong <= known.correctable)]
         if len(own) < _LEAST_MARKERS:
             return None
@@ -201,7 +201,7 @@ class CharucoTracker:
         return np.asarray(away <= _NEAR)
 
 
-def _pose(board: Layout, tags: search.Tags) -> tuple[Array | None, int]:
+def _homography_of_markers(board: BoardLayout, tags: search.Tags) -> tuple[Array | None, int]:
     """H (3,3) from squares to px of most markers, and how many agree."""
     import cv2
 
@@ -214,7 +214,7 @@ def _pose(board: Layout, tags: search.Tags) -> tuple[Array | None, int]:
     return (np.asarray(pose), count) if count >= max(_LEAST_MARKERS, _MOST_OF * len(tags.number)) else (None, 0)
 
 
-def _homography(plane: Array, image: Array) -> Array | None:
+def _fit_homography(plane: Array, image: Array) -> Array | None:
     """H (3,3) by least squares through points (K,2) that are not NaN; None of fewer than 6."""
     import cv2
 
@@ -225,18 +225,18 @@ def _homography(plane: Array, image: Array) -> Array | None:
     return None if pose is None else np.asarray(pose)
 
 
-def _scale(pose: Array, points: Array) -> Array:
+def _side_of_square_px(pose: Array, points: Array) -> Array:
     """The shortest side of a square, px, at points (K,2) of the plane: (K,)."""
-    here, right, down = (quads.project(pose[None], points + by)[0] for by in ((0, 0), (0.5, 0), (0, 0.5)))
+    here, right, down = (quads.apply_homographies(pose[None], points + by)[0] for by in ((0, 0), (0.5, 0), (0, 0.5)))
     return np.asarray(2 * np.minimum(np.linalg.norm(right - here, axis=1), np.linalg.norm(down - here, axis=1)))
 
 
-def _kept(gray: Array, pose: Array, board: Layout, found: saddle.Corners) -> saddle.Corners:
+def _drop_corners_off_board(gray: Array, pose: Array, board: BoardLayout, found: saddle.Corners) -> saddle.Corners:
     """Corners with white and black squares around them as on the board."""
     about = _SQUARE * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    expected = quads.project(pose[None], board.corners)[0]
-    points = quads.project(pose[None], (board.corners[:, None] + about).reshape(-1, 2))[0].reshape(-1, 4, 2)
-    levels = quads.sample(gray, points + np.nan_to_num(found.uv - expected)[:, None])
+    expected = quads.apply_homographies(pose[None], board.corners)[0]
+    points = quads.apply_homographies(pose[None], (board.corners[:, None] + about).reshape(-1, 2))[0].reshape(-1, 4, 2)
+    levels = quads.sample_gray(gray, points + np.nan_to_num(found.uv - expected)[:, None])
     light = np.where(board.white, levels, np.inf).min(axis=1)
     dark = np.where(board.white, -np.inf, levels).max(axis=1)
     relief = light - dark

@@ -19,7 +19,7 @@ class Codes(NamedTuple):
     correctable: int
 
 
-class Read(NamedTuple):
+class DecodedCells(NamedTuple):
     """Decoded cells of M quads: tag, turn (M,) · score (M,) -1..1, their correlation · wrong (M,) bits."""
 
     tag: Array
@@ -34,7 +34,7 @@ _CORRECTED = 0.6
 
 
 @lru_cache
-def codes(dictionary: str) -> Codes:
+def load_codes(dictionary: str) -> Codes:
     """The dictionary of that name."""
     import cv2
 
@@ -45,16 +45,16 @@ def codes(dictionary: str) -> Codes:
     flat = turned.reshape(len(bits), 4, -1)
     apart = flat - flat.mean(axis=2, keepdims=True)
     units = apart / np.maximum(np.linalg.norm(apart, axis=2, keepdims=True), 1e-9)
-    return Codes(flat > 0, units, side, int(_correctable(dictionary, known.maxCorrectionBits) * _CORRECTED))
+    return Codes(flat > 0, units, side, int(_correctable_bits(dictionary, known.maxCorrectionBits) * _CORRECTED))
 
 
-def _correctable(dictionary: str, stated: int) -> int:
+def _correctable_bits(dictionary: str, stated: int) -> int:
     """Bits that could be corrected: of `36h11`, patterns 11 bits apart, 5; OpenCV before 4.14 states 0 or 12."""
     apart = re.search(r"_\d+h(\d+)$", dictionary)
     return (int(apart[1]) - 1) // 2 if apart else stated
 
 
-def read(cells: Array, known: Codes, only: Array | None = None) -> Read:
+def decode_cells(cells: Array, known: Codes, only: Array | None = None) -> DecodedCells:
     """The tag most similar to cells (M,n*n) gray, and its turn; only tags `only` (T,) are considered where given.
 
     A turn of 1 means that the quad's first corner is the tag's second one.
@@ -66,11 +66,11 @@ def read(cells: Array, known: Codes, only: Array | None = None) -> Read:
     best = scores.argmax(axis=1)
     rows = np.arange(len(cells))
     tag, turn = best // 4, best % 4
-    wrong = _wrong(cells, patterns.reshape(-1, bits)[best])
-    return Read(tag if only is None else only[tag], turn, scores[rows, best], wrong)
+    wrong = _wrong_bits(cells, patterns.reshape(-1, bits)[best])
+    return DecodedCells(tag if only is None else only[tag], turn, scores[rows, best], wrong)
 
 
-def _wrong(cells: Array, white: Array) -> Array:
+def _wrong_bits(cells: Array, white: Array) -> Array:
     """Bits (M,) on the wrong side of the mean of black and white levels."""
     count = np.maximum(white.sum(axis=1), 1), np.maximum((~white).sum(axis=1), 1)
     middle = (np.where(white, cells, 0).sum(axis=1) / count[0] + np.where(white, 0, cells).sum(axis=1) / count[1]) / 2

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array
-from .quads import sample
+from .quads import sample_gray
 
 _SAMPLES, _STEP, _AT_ONCE = 24, 0.5, 64
 _ENDS = 0.12
@@ -42,28 +42,28 @@ _NONE = Refined(
 )
 
 
-def refine(gray: Array, quads: Array, cell: Array) -> Refined:
+def refine_quads(gray: Array, quads: Array, cell: Array) -> Refined:
     """Move quads (M,4,2), clockwise, to the edges near them; beside an edge the image is uniform for `cell` (M,) px.
 
     Edges are searched within a cell first, then again close by, where light changes little.
     """
-    parts = [_refine(gray, quads[k : k + _AT_ONCE], cell[k : k + _AT_ONCE]) for k in range(0, len(quads), _AT_ONCE)]
+    parts = [_refine_some_quads(gray, quads[k : k + _AT_ONCE], cell[k : k + _AT_ONCE]) for k in range(0, len(quads), _AT_ONCE)]
     return Refined(*(np.concatenate(column) for column in zip(*parts, strict=True))) if parts else _NONE
 
 
-def _refine(gray: Array, quads: Array, cell: Array) -> Refined:
+def _refine_some_quads(gray: Array, quads: Array, cell: Array) -> Refined:
     reach = np.maximum(_REACH * cell, _LEAST_REACH)
-    near = _once(gray, quads, cell, _within(gray, quads, reach))
-    return _once(gray, near.quads, cell, _within(gray, near.quads, np.minimum(reach, _CLOSE)))
+    near = _refine_quads_once(gray, quads, cell, _reach_within_image(gray, quads, reach))
+    return _refine_quads_once(gray, near.quads, cell, _reach_within_image(gray, near.quads, np.minimum(reach, _CLOSE)))
 
 
-def _within(gray: Array, quads: Array, reach: Array) -> Array:
+def _reach_within_image(gray: Array, quads: Array, reach: Array) -> Array:
     """The reach (M,) px, less where quads are near the image's border."""
     room = np.minimum(quads, np.array(gray.shape[::-1]) - 1 - quads).min(axis=(1, 2))
     return np.where(room >= _LEAST_ROOM, np.minimum(reach, room), reach)
 
 
-def _once(gray: Array, quads: Array, cell: Array, reach: Array) -> Refined:
+def _refine_quads_once(gray: Array, quads: Array, cell: Array, reach: Array) -> Refined:
     start, end = quads, np.roll(quads, -1, axis=1)
     along = end - start
     length = np.maximum(np.linalg.norm(along, axis=2), 1e-6)
@@ -75,19 +75,19 @@ def _once(gray: Array, quads: Array, cell: Array, reach: Array) -> Refined:
     middle = (start + end) / 2
     base = middle[:, :, None] + x[..., None] * along[:, :, None]
     points = base[:, :, :, None] + taps[:, None, None, :, None] * outward[:, :, None, None]
-    profile = sample(gray, points)
-    place, shown, blur, doubt = _places(profile, taps, x)
-    offset, slope, variance = _lines(x, place, shown)
+    profile = sample_gray(gray, points)
+    place, shown, blur, doubt = _locate_edges(profile, taps, x)
+    offset, slope, variance = _fit_robust_lines(x, place, shown)
     variance[..., 0] += _FLOOR**2 + doubt
     pull = cell[:, None] * _PULL * np.maximum(blur / cell[:, None] - _CLEAR, 0) ** 2
     seen = np.isfinite(offset)
     offset, slope = np.where(seen, offset, 0.0), np.where(seen, slope, 0.0)
-    corners, cov = _corners(middle, along, outward, offset, slope, variance, pull, length)
+    corners, cov = _cross_lines(middle, along, outward, offset, slope, variance, pull, length)
     centre_cov = _centre_cov(outward, variance[..., 0] + (_ALIKE * pull) ** 2)
     return Refined(corners, cov, centre_cov, seen, blur)
 
 
-def _places(profile: Array, taps: Array, x: Array) -> tuple[Array, Array, Array, Array]:
+def _locate_edges(profile: Array, taps: Array, x: Array) -> tuple[Array, Array, Array, Array]:
     """Edge of each profile (M,4,S,T), from dark to light, (M,4,S) px; whether it has one; each side's blur (M,4) px.
 
     Last the variance (M,4) px² from the noise of the black and white levels.
@@ -98,7 +98,7 @@ def _places(profile: Array, taps: Array, x: Array) -> tuple[Array, Array, Array,
     half = profile.shape[3] // 2
     low = usual[..., : half + 1].argmin(axis=2)
     high = half + usual[..., half:].argmax(axis=2)
-    (black, unsure), (white, as_unsure) = (_level(profile, at, x, inside) for at in (low, high))
+    (black, unsure), (white, as_unsure) = (_gray_level_at_tap(profile, at, x, inside) for at in (low, high))
     relief = np.maximum(white - black, 1)
     number = np.arange(profile.shape[3])
     within = (number >= low[..., None]) & (number <= high[..., None])
@@ -109,22 +109,22 @@ def _places(profile: Array, taps: Array, x: Array) -> tuple[Array, Array, Array,
     own = np.take_along_axis(profile, high[:, :, None, None], 3) - np.take_along_axis(profile, low[:, :, None, None], 3)
     contrast = np.median(relief, axis=(1, 2))
     doubt = (unsure + as_unsure) * (taps[:, -1] / np.maximum(contrast, 1))[:, None] ** 2
-    return place, inside & (own[..., 0] > _RELIEF * contrast[:, None, None]), _blur(usual, taps, within), doubt
+    return place, inside & (own[..., 0] > _RELIEF * contrast[:, None, None]), _blur_of_steps(usual, taps, within), doubt
 
 
-def _level(profile: Array, at: Array, x: Array, inside: Array) -> tuple[Array, Array]:
+def _gray_level_at_tap(profile: Array, at: Array, x: Array, inside: Array) -> tuple[Array, Array]:
     """The gray level (M,4,S) of profiles (M,4,S,T) at one tap of each side, and its variance (M,4).
 
     It is a straight line along the side, because light varies.
     """
     own = np.take_along_axis(profile, at[:, :, None, None], 3)[..., 0]
-    offset, slope, count, _ = _line(x, own, inside.astype(float))
+    offset, slope, count, _ = _fit_weighted_line(x, own, inside.astype(float))
     level = offset[..., None] + slope[..., None] * x
     rest = np.where(inside, own - level, 0)
     return level, (rest**2).sum(axis=2) / np.maximum(count * (count - 2), 1)
 
 
-def _blur(usual: Array, taps: Array, within: Array) -> Array:
+def _blur_of_steps(usual: Array, taps: Array, within: Array) -> Array:
     """The standard deviation (M,4) px of the steps of mean profiles (M,4,T)."""
     rise = np.maximum(np.diff(usual, axis=2), 0) * within[..., 1:]
     share = rise / np.maximum(rise.sum(axis=2, keepdims=True), 1e-9)
@@ -133,11 +133,11 @@ def _blur(usual: Array, taps: Array, within: Array) -> Array:
     return np.asarray(np.sqrt((share * (middle - mean) ** 2).sum(axis=2)))
 
 
-def _lines(x: Array, place: Array, shown: Array) -> tuple[Array, Array, Array]:
+def _fit_robust_lines(x: Array, place: Array, shown: Array) -> tuple[Array, Array, Array]:
     """Offset (M,4) px and slope of straight lines place = offset + slope x, and variances (M,4,2) of the two."""
     weight = shown.astype(float)
     for _ in range(3):
-        offset, slope, count, spread = _line(x, place, weight)
+        offset, slope, count, spread = _fit_weighted_line(x, place, weight)
         rest = np.abs(place - offset[..., None] - slope[..., None] * x)
         scale = np.sqrt((weight * np.where(weight > 0, rest, 0) ** 2).sum(axis=2) / np.maximum(count - 2, 1))
         weight = np.where(shown & (rest <= np.maximum(_OUTLYING * scale, 0.1)[..., None]), 1.0, 0.0)
@@ -146,7 +146,7 @@ def _lines(x: Array, place: Array, shown: Array) -> tuple[Array, Array, Array]:
     return offset, slope, variance
 
 
-def _line(x: Array, place: Array, weight: Array) -> tuple[Array, Array, Array, Array]:
+def _fit_weighted_line(x: Array, place: Array, weight: Array) -> tuple[Array, Array, Array, Array]:
     place = np.where(weight > 0, place, 0)
     count = weight.sum(axis=2)
     n = np.maximum(count, 1)
@@ -157,7 +157,7 @@ def _line(x: Array, place: Array, weight: Array) -> tuple[Array, Array, Array, A
     return mean - slope * mean_x, slope, count, spread
 
 
-def _corners(
+def _cross_lines(
     middle: Array,
     along: Array,
     outward: Array,

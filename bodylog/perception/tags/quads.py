@@ -11,7 +11,7 @@ _STRAIGHT = 0.05
 """Largest distance of a contour from its quad, as a share of its perimeter."""
 
 
-def find(gray: Array, shortest: float) -> Array:
+def find_quads(gray: Array, shortest: float) -> Array:
     """Corners (M,4,2) px, clockwise, of dark convex quads in (H,W) uint8 whose sides have `shortest` px at least."""
     import cv2
 
@@ -28,17 +28,17 @@ def find(gray: Array, shortest: float) -> Array:
     quads = np.array(found, float).reshape(-1, 4, 2)
     sides = np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=2).min(axis=1)
     quads = quads[sides >= shortest]
-    quads[_area(quads) < 0] = quads[_area(quads) < 0][:, ::-1]
+    quads[_signed_area(quads) < 0] = quads[_signed_area(quads) < 0][:, ::-1]
     return np.asarray(quads)
 
 
-def _area(quads: Array) -> Array:
+def _signed_area(quads: Array) -> Array:
     """Signed areas (M,), positive where clockwise as seen (v is down)."""
     u, v = quads[..., 0], quads[..., 1]
     return np.asarray((u * np.roll(v, -1, axis=1) - v * np.roll(u, -1, axis=1)).sum(axis=1) / 2)
 
 
-def homographies(quads: Array) -> Array:
+def homographies_of_quads(quads: Array) -> Array:
     """H (M,3,3) from the unit square (0,0), (1,0), (1,1), (0,1) to quads (M,4,2) (Heckbert 1989, eq. 2.13)."""
     (u0, v0), (u1, v1), (u2, v2), (u3, v3) = np.moveaxis(quads, 0, 2)
     du, dv = u0 - u1 + u2 - u3, v0 - v1 + v2 - v3
@@ -50,14 +50,14 @@ def homographies(quads: Array) -> Array:
     return np.stack(rows, axis=1).reshape(-1, 3, 3)
 
 
-def project(maps: Array, points: Array) -> Array:
+def apply_homographies(maps: Array, points: Array) -> Array:
     """Where H (M,3,3) takes points (P,2): (M,P,2)."""
     whole = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ np.swapaxes(maps, 1, 2)
     below = np.where(np.abs(whole[..., 2:]) < 1e-9, 1e-9, whole[..., 2:])
     return np.asarray(whole[..., :2] / below)
 
 
-def sample(gray: Array, points: Array) -> Array:
+def sample_gray(gray: Array, points: Array) -> Array:
     """Gray levels (...) at points (...,2) px, bilinear; NaN outside the image."""
     import cv2
 
@@ -73,7 +73,7 @@ def sample(gray: Array, points: Array) -> Array:
     return np.asarray(np.where(inside, np.concatenate(levels), np.nan).reshape(points.shape[:-1]))
 
 
-def cells(gray: Array, quads: Array, side: int, fine: bool = True) -> tuple[Array, Array]:
+def sample_cells(gray: Array, quads: Array, side: int, fine: bool = True) -> tuple[Array, Array]:
     """Gray levels of the bits (M,side²) and of the black border's cells (M,4 side + 4) of tags at quads (M,4,2).
 
     Each is sampled at the cell's middle, or where `fine` the mean of four places around it; NaN outside the image.
@@ -82,14 +82,14 @@ def cells(gray: Array, quads: Array, side: int, fine: bool = True) -> tuple[Arra
     middles = (np.arange(whole) + 0.5) / whole
     grid = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
     about = np.array([(-1, -1), (1, -1), (-1, 1), (1, 1)] if fine else [(0, 0)]) * 0.2 / whole
-    points = project(homographies(quads), (grid[:, None] + about).reshape(-1, 2))
-    levels = sample(gray, points).reshape(len(quads), whole, whole, len(about)).mean(axis=3)
+    points = apply_homographies(homographies_of_quads(quads), (grid[:, None] + about).reshape(-1, 2))
+    levels = sample_gray(gray, points).reshape(len(quads), whole, whole, len(about)).mean(axis=3)
     inner = np.zeros((whole, whole), bool)
     inner[1:-1, 1:-1] = True
     return levels[:, inner], levels[:, ~inner]
 
 
-def centres(quads: Array) -> Array:
+def centres_of_quads(quads: Array) -> Array:
     """The crossing of the diagonals of quads (M,4,2): the projection of a square's centre (M,2)."""
     start, first, second = quads[:, 0], quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]
     across = quads[:, 1] - start

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array
-from .quads import sample
+from .quads import sample_gray
 
 _HALF = 7
 """Samples on each side of a corner; they lie as far apart as its window is wide."""
@@ -23,7 +23,7 @@ class Corners(NamedTuple):
     cov: Array
 
 
-def refine(gray: Array, uv: Array, reach: Array) -> Corners:
+def refine_saddles(gray: Array, uv: Array, reach: Array) -> Corners:
     """Corners near uv (K,2) px, each within a window of half its `reach` (K,) px to every side.
 
     Least squares: every gradient in the window is perpendicular to its line to the corner (Förstner & Gülch 1987).
@@ -33,16 +33,16 @@ def refine(gray: Array, uv: Array, reach: Array) -> Corners:
     grid = np.stack(np.meshgrid(offsets, offsets), axis=-1)
     weight = np.exp(-(grid**2).sum(axis=2))[1:-1, 1:-1]
     for _ in range(_TURNS):
-        step, cov = _step(gray, place, reach, grid, weight)
+        step, cov = _step_to_saddle(gray, place, reach, grid, weight)
         place = place + np.clip(step, -reach[:, None], reach[:, None])
     far = np.linalg.norm(place - uv, axis=1) > reach
     return Corners(np.where(far[:, None], np.nan, place), cov)
 
 
-def _step(gray: Array, place: Array, reach: Array, grid: Array, weight: Array) -> tuple[Array, Array]:
+def _step_to_saddle(gray: Array, place: Array, reach: Array, grid: Array, weight: Array) -> tuple[Array, Array]:
     """The step from each place (K,2) px to the crossing of the gradients around it, and its covariance (K,2,2) px²."""
     points = place[:, None, None] + reach[:, None, None, None] * grid
-    levels = sample(gray, points)
+    levels = sample_gray(gray, points)
     spacing = (reach / _HALF)[:, None, None]
     gu = (levels[:, 1:-1, 2:] - levels[:, 1:-1, :-2]) / (2 * spacing)
     gv = (levels[:, 2:, 1:-1] - levels[:, :-2, 1:-1]) / (2 * spacing)
@@ -51,7 +51,7 @@ def _step(gray: Array, place: Array, reach: Array, grid: Array, weight: Array) -
     some = weight.ravel()[:, None, None]
     normal = (some * gradient[..., None] * gradient[..., None, :]).sum(axis=1)
     along = (gradient * apart).sum(axis=2)
-    inverse = _inverse(normal)
+    inverse = _invert_symmetric(normal)
     step = (inverse @ (some[..., 0] * gradient * along[..., None]).sum(axis=1)[..., None])[..., 0]
     # a perfect corner is symmetric under half a turn: the difference is noise
     noise = ((levels - levels[:, ::-1, ::-1]) ** 2).mean(axis=(1, 2)) / 2
@@ -60,7 +60,7 @@ def _step(gray: Array, place: Array, reach: Array, grid: Array, weight: Array) -
     return np.nan_to_num(step, nan=np.inf, posinf=np.inf), cov
 
 
-def _inverse(matrix: Array) -> Array:
+def _invert_symmetric(matrix: Array) -> Array:
     """Inverse of symmetric (K,2,2); NaN where one is singular."""
     a, b, c = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]
     det = a * c - b * b

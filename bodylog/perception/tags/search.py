@@ -39,17 +39,17 @@ class Tags(NamedTuple):
         return Tags(*(column[rows] for column in self))
 
 
-def whole(gray: Array, known: Codes, only: Array | None = None) -> Tags:
+def search_whole_image(gray: Array, known: Codes, only: Array | None = None) -> Tags:
     """Tags anywhere in the image (H,W) uint8: at half size first, then at full size those not found yet."""
-    found = verified(gray, _at_half_size(gray), known, only)
+    found = verify_quads(gray, _at_half_size(gray), known, only)
     if only is not None and np.isin(only, found.number).all():
         return found
-    return _distinct(joined(found, verified(gray, quads.find(gray, _SHORTEST), known, only)))
+    return _distinct_tags(join_tags(found, verify_quads(gray, quads.find_quads(gray, _SHORTEST), known, only)))
 
 
-def candidates(gray: Array) -> Array:
+def find_candidate_quads(gray: Array) -> Array:
     """Quads (M,4,2) px that may be tags, clockwise, found at half and at full size."""
-    return np.concatenate([_at_half_size(gray), quads.find(gray, _SHORTEST)])
+    return np.concatenate([_at_half_size(gray), quads.find_quads(gray, _SHORTEST)])
 
 
 def _at_half_size(gray: Array) -> Array:
@@ -58,40 +58,40 @@ def _at_half_size(gray: Array) -> Array:
     if min(gray.shape) < 2:
         return np.empty((0, 4, 2))
     small = cv2.resize(gray, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    return 2 * quads.find(small, _HALF) + 0.5
+    return 2 * quads.find_quads(small, _HALF) + 0.5
 
 
-def window(gray: Array, middle: Array, reach: float, known: Codes, only: Array) -> Tags:
+def search_window(gray: Array, middle: Array, reach: float, known: Codes, only: Array) -> Tags:
     """Tags within `reach` px of a place (2,)."""
     height, width = gray.shape
     first = np.clip(np.floor(middle - reach), 0, (width, height)).astype(int)
     last = np.clip(np.ceil(middle + reach), 0, (width, height)).astype(int)
     part = gray[first[1] : last[1], first[0] : last[0]]
-    return verified(gray, quads.find(part, _SHORTEST) + first, known, only)
+    return verify_quads(gray, quads.find_quads(part, _SHORTEST) + first, known, only)
 
 
-def verified(gray: Array, found: Array, known: Codes, only: Array | None = None) -> Tags:
+def verify_quads(gray: Array, found: Array, known: Codes, only: Array | None = None) -> Tags:
     """The tags among quads (M,4,2) px, clockwise from any corner, that lie within some px of their edges."""
-    found = _likely(gray, found, known, only)
-    return recognised(gray, refined(gray, found, known.side), known, only) if len(found) else nothing()
+    found = _likely_quads(gray, found, known, only)
+    return recognise_tags(gray, refine_candidates(gray, found, known.side), known, only) if len(found) else no_tags()
 
 
-def refined(gray: Array, found: Array, side: int) -> Refined:
+def refine_candidates(gray: Array, found: Array, side: int) -> Refined:
     """Refine quads (M,4,2) px of tags of side² bits to their edges; those without four edges are left out."""
     shortest = np.linalg.norm(found - np.roll(found, -1, axis=1), axis=2).min(axis=1)
-    moved = edges.refine(gray, found, shortest / (side + 2))
+    moved = edges.refine_quads(gray, found, shortest / (side + 2))
     sound = moved.sides.all(axis=1) & np.isfinite(moved.quads).all(axis=(1, 2))
     sound &= np.linalg.norm(moved.quads - found, axis=2).max(axis=1) < 2 * shortest
     return Refined(*(column[sound] for column in moved))
 
 
-def recognised(gray: Array, found: Refined, known: Codes, only: Array | None = None) -> Tags:
+def recognise_tags(gray: Array, found: Refined, known: Codes, only: Array | None = None) -> Tags:
     """The tags among refined quads, each number once."""
-    bits, border = quads.cells(gray, found.quads, known.side)
+    bits, border = quads.sample_cells(gray, found.quads, known.side)
     rows = np.flatnonzero(np.isfinite(bits).all(axis=1))
     if not rows.size:
-        return nothing()
-    seen = codes.read(bits[rows], known, only)
+        return no_tags()
+    seen = codes.decode_cells(bits[rows], known, only)
     middle = (bits[rows].max(axis=1) + bits[rows].min(axis=1)) / 2
     dark = (border[rows] < middle[:, None]).mean(axis=1)
     good = (seen.wrong <= known.correctable) & (dark >= _BORDER) & (seen.score >= _SIMILAR)
@@ -99,30 +99,30 @@ def recognised(gray: Array, found: Refined, known: Codes, only: Array | None = N
     order = (np.arange(4) - turn[:, None]) % 4
     corners = np.take_along_axis(found.quads[rows], order[..., None], 1)
     cov = np.take_along_axis(found.corner_cov[rows], order[..., None, None], 1)
-    return _distinct(Tags(tag, corners, quads.centres(corners), cov, found.centre_cov[rows], score))
+    return _distinct_tags(Tags(tag, corners, quads.centres_of_quads(corners), cov, found.centre_cov[rows], score))
 
 
-def _likely(gray: Array, found: Array, known: Codes, only: Array | None) -> Array:
+def _likely_quads(gray: Array, found: Array, known: Codes, only: Array | None) -> Array:
     """Quads (M,4,2) px whose cells resemble a tag before refinement, which costs ten times as much."""
     if not len(found):
         return found
-    bits, border = quads.cells(gray, found, known.side, fine=False)
+    bits, border = quads.sample_cells(gray, found, known.side, fine=False)
     rows = np.flatnonzero(np.isfinite(bits).all(axis=1) & (border.mean(axis=1) < bits.max(axis=1)))
-    return found[rows[codes.read(bits[rows], known, only).score >= _LIKELY]]
+    return found[rows[codes.decode_cells(bits[rows], known, only).score >= _LIKELY]]
 
 
-def nothing() -> Tags:
+def no_tags() -> Tags:
     """No tags."""
     empty = np.empty
     return Tags(np.empty(0, int), empty((0, 4, 2)), empty((0, 2)), empty((0, 4, 2, 2)), empty((0, 2, 2)), empty(0))
 
 
-def joined(first: Tags, second: Tags) -> Tags:
+def join_tags(first: Tags, second: Tags) -> Tags:
     """The tags of both."""
     return Tags(*(np.concatenate(both) for both in zip(first, second, strict=True)))
 
 
-def _distinct(found: Tags) -> Tags:
+def _distinct_tags(found: Tags) -> Tags:
     """Each number once: the one most similar to its pattern."""
     best: dict[int, int] = {}
     for row in np.argsort(-found.score, kind="stable").tolist():

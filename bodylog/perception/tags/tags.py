@@ -8,7 +8,7 @@ from ...sources import TagSource, track_names
 from ...types import Array
 from ..tracking.contract import HIDDEN, UNDECODABLE, Tracked, Tracker
 from . import search
-from .codes import codes
+from .codes import load_codes
 
 _ABOUT = 1.5
 """Search radius around a tag's expected place, in its longest sides."""
@@ -16,7 +16,7 @@ _FORGOTTEN = 3
 """Frames after which an unseen tag has no expected place."""
 
 
-def trackers(features: Mapping[str, TagSource]) -> list[Tracker]:
+def tag_trackers(features: Mapping[str, TagSource]) -> list[Tracker]:
     """One per dictionary."""
     dictionaries = sorted({source.dictionary for source in features.values()})
     return [TagTracker({n: s for n, s in features.items() if s.dictionary == one}) for one in dictionaries]
@@ -55,19 +55,19 @@ class TagTracker:
             if found is None:
                 continue
             for feature, source in self._features.items():
-                if (points := _points(found, source)) is not None:
+                if (points := _points_of_tag(found, source)) is not None:
                     columns = [at[name] for name in track_names(feature, source)]
                     values[row, columns], reasons[row] = points, ""
         return Tracked(tuple(names), values, reasons)
 
     def _found(self, gray: Array) -> search.Tags:
-        known, found = codes(self._dictionary), search.nothing()
+        known, found = load_codes(self._dictionary), search.no_tags()
         for expected in (self._followed, self._nearby):
             left = self._left(found)
             if left.size:
-                found = search.joined(found, expected(gray, left))
+                found = search.join_tags(found, expected(gray, left))
         left = self._left(found)
-        return search.joined(found, search.whole(gray, known, left)) if left.size else found
+        return search.join_tags(found, search.search_whole_image(gray, known, left)) if left.size else found
 
     def _left(self, found: search.Tags) -> Array:
         return np.setdiff1d(self._wanted, found.number)
@@ -75,17 +75,17 @@ class TagTracker:
     def _followed(self, gray: Array, left: Array) -> search.Tags:
         """Tags whose edges are at their expected places."""
         quads = [quad for number in left.tolist() if (quad := self._expected(number)) is not None]
-        return search.verified(gray, np.array(quads).reshape(-1, 4, 2), codes(self._dictionary), left)
+        return search.verify_quads(gray, np.array(quads).reshape(-1, 4, 2), load_codes(self._dictionary), left)
 
     def _nearby(self, gray: Array, left: Array) -> search.Tags:
         """Tags around their expected places."""
-        found = search.nothing()
+        found = search.no_tags()
         for number in left.tolist():
             if (quad := self._expected(number)) is not None:
                 side = float(np.linalg.norm(quad - np.roll(quad, 1, axis=0), axis=1).max())
                 one = np.array([number])
-                about = search.window(gray, quad.mean(axis=0), _ABOUT * side, codes(self._dictionary), one)
-                found = search.joined(found, about)
+                about = search.search_window(gray, quad.mean(axis=0), _ABOUT * side, load_codes(self._dictionary), one)
+                found = search.join_tags(found, about)
         return found
 
     def _expected(self, number: int) -> Array | None:
@@ -97,7 +97,7 @@ class TagTracker:
         return quad + ago * step if ago <= _FORGOTTEN else None
 
 
-def _points(found: search.Tags, source: TagSource) -> Array | None:
+def _points_of_tag(found: search.Tags, source: TagSource) -> Array | None:
     """u, v, std_u, std_v of a source's tracks: (K,4) px; None where its tag was not found."""
     rows = np.flatnonzero(found.number == source.tag)
     if not rows.size:

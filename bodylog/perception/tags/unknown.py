@@ -7,9 +7,9 @@ import numpy as np
 
 from ...sources import TagSource
 from ...types import Array
-from ..colours.coarse_search import gray
+from ..colours.coarse_search import convert_to_gray
 from . import search
-from .codes import codes
+from .codes import load_codes
 
 COMMON = (
     "apriltag_36h11", "mip_36h12", "6x6_250", "aruco_original", "apriltag_25h9", "5x5_100", "7x7_100", "4x4_100",
@@ -23,7 +23,7 @@ _TWICE = 2
 """Images that must show a tag, where there are more: chance patterns do not repeat."""
 
 
-class Found(NamedTuple):
+class FoundTag(NamedTuple):
     """A tag: its source · number of images that show it · its centre in each, (I,2) px, NaN where not seen."""
 
     source: TagSource
@@ -31,24 +31,24 @@ class Found(NamedTuple):
     uv: Array
 
 
-def present(images: Sequence[Array], dictionaries: Sequence[str] = COMMON) -> list[Found]:
+def find_unknown_tags(images: Sequence[Array], dictionaries: Sequence[str] = COMMON) -> list[FoundTag]:
     """The tags in images (H,W,3) BGR, those seen most often first; a quad is read as one dictionary's tag alone."""
     where: dict[tuple[str, int], Array] = {}
     for row, image in enumerate(images):
-        for name, tags in tags_by_dictionary(gray(image), dictionaries).items():
+        for name, tags in tags_by_dictionary(convert_to_gray(image), dictionaries).items():
             for number, centre in zip(tags.number.tolist(), tags.centres, strict=True):
                 where.setdefault((name, number), np.full((len(images), 2), np.nan))[row] = centre
-    found = [Found(TagSource(n, d), int(np.isfinite(uv[:, 0]).sum()), uv) for (d, n), uv in where.items()]
+    found = [FoundTag(TagSource(n, d), int(np.isfinite(uv[:, 0]).sum()), uv) for (d, n), uv in where.items()]
     least = min(_TWICE, len(images))
     return sorted((one for one in found if one.seen >= least), key=lambda one: (-one.seen, one.source.tag))
 
 
 def tags_by_dictionary(image: Array, dictionaries: Sequence[str]) -> dict[str, search.Tags]:
     """The tags in one image (H,W) uint8, by dictionary."""
-    candidates = search.refined(image, search.candidates(image), _SIDE)
+    candidates = search.refine_candidates(image, search.find_candidate_quads(image), _SIDE)
     taken, found = np.empty((0, 2)), {}
     for name in dictionaries:
-        tags = search.recognised(image, candidates, codes(name))
+        tags = search.recognise_tags(image, candidates, load_codes(name))
         far = np.linalg.norm(tags.centres[:, None] - taken, axis=2).min(axis=1, initial=np.inf) > 2
         found[name] = tags.chosen(np.flatnonzero(far & (tags.score >= _CLEAR)))
         taken = np.concatenate([taken, found[name].centres])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...settings import Skin
+from ...settings import SkinSettings
 from ...types import Array, Finding, Health, Series, Touch
 
 _NEIGHBOUR = 2
@@ -27,22 +27,22 @@ class _Press:
     last: int
 
 
-def touches(skin: Series, settings: Skin) -> Felt:
+def detect_touches(skin: Series, settings: SkinSettings) -> Felt:
     """Touches in order of onset, health and findings; None where no cell can feel (all dead or stuck, no sample)."""
     readable = np.isfinite(skin.values)
     # zero first: casting a signalling NaN gives a RuntimeWarning
     level = np.where(readable, skin.values, 0.0).astype(np.float32)
-    health = _health(skin.t, readable)
+    health = _skin_health(skin.t, readable)
     if not level.size:
         return None, health, (Finding("warning", "skin: no readings; touch cannot be used"),)
     gap = _after_gaps(skin.t)
-    active = _active(level, settings, gap)
-    dead, held = _dead(level), _held(active)
-    findings = (*_unreadable(readable), *_broken(level, dead, held))
+    active = _active_cells(level, settings, gap)
+    dead, held = _dead_cells(level), _cells_always_touched(active)
+    findings = (*_unreadable_findings(readable), *_broken_cell_findings(level, dead, held))
     if (dead | held).all():
         return None, health, findings
-    presses = _presses(skin.t, level, active & ~held, settings, gap)
-    found = [_touch(skin, level, group) for group in _groups(presses, settings.columns)]
+    presses = _find_presses(skin.t, level, active & ~held, settings, gap)
+    found = [_touch_of_presses(skin, level, group) for group in _group_presses(presses, settings.columns)]
     return tuple(sorted(found, key=lambda touch: (touch.onset, touch.strongest))), health, findings
 
 
@@ -52,7 +52,7 @@ def _after_gaps(t: Array) -> Array:
     return np.asarray(steps > max(_GAP, 5 * float(np.median(steps))))
 
 
-def _active(level: Array, settings: Skin, gap: Array) -> Array:
+def _active_cells(level: Array, settings: SkinSettings, gap: Array) -> Array:
     """(N,C) bool: at or above the threshold, or since then neither below release nor across a gap."""
     active = np.zeros(level.shape, dtype=bool)
     touched = np.flatnonzero((level >= settings.threshold).any(axis=0))
@@ -63,17 +63,17 @@ def _active(level: Array, settings: Skin, gap: Array) -> Array:
     return active
 
 
-def _dead(level: Array) -> Array:
+def _dead_cells(level: Array) -> Array:
     """(C,) bool: one constant reading for the whole log, without any noise."""
     return np.asarray((level == level[0]).all(axis=0) & (len(level) > 1))
 
 
-def _held(active: Array) -> Array:
+def _cells_always_touched(active: Array) -> Array:
     """(C,) bool: touched from the first sample to the last."""
     return np.asarray(active.all(axis=0) & (len(active) > 1))
 
 
-def _presses(t: Array, level: Array, active: Array, settings: Skin, gap: Array) -> list[_Press]:
+def _find_presses(t: Array, level: Array, active: Array, settings: SkinSettings, gap: Array) -> list[_Press]:
     """Every cell's active stretches of at least `shortest` s, in order of onset."""
     before = np.vstack([np.zeros_like(active[:1]), active[:-1]]) & ~gap[:, None]
     starts = np.argwhere((active & ~before).T)
@@ -82,15 +82,15 @@ def _presses(t: Array, level: Array, active: Array, settings: Skin, gap: Array) 
     found = []
     for (cell, first), (_, last) in zip(starts.tolist(), ends.tolist(), strict=True):
         last = first + int(np.flatnonzero(level[first : last + 1, cell] >= settings.threshold)[-1])
-        onset = _crossing(t, level[:, cell], first - 1, first, settings.threshold, gap[first])
+        onset = _threshold_crossing(t, level[:, cell], first - 1, first, settings.threshold, gap[first])
         ended = last + 1 < len(t) and bool(gap[last + 1])
-        offset = _crossing(t, level[:, cell], last + 1, last, settings.threshold, ended)
+        offset = _threshold_crossing(t, level[:, cell], last + 1, last, settings.threshold, ended)
         if offset - onset >= settings.shortest:
             found.append(_Press(cell, onset, offset, first, last))
     return sorted(found, key=lambda press: (press.onset, press.cell))
 
 
-def _crossing(t: Array, level: Array, outside: int, inside: int, threshold: float, alone: bool) -> float:
+def _threshold_crossing(t: Array, level: Array, outside: int, inside: int, threshold: float, alone: bool) -> float:
     """When a line from the sample outside to the one inside crosses the threshold; at the inside one if it is alone."""
     if alone or not 0 <= outside < len(t):
         return float(t[inside])
@@ -98,26 +98,26 @@ def _crossing(t: Array, level: Array, outside: int, inside: int, threshold: floa
     return float(t[outside] + share * (t[inside] - t[outside]))
 
 
-def _groups(presses: Sequence[_Press], columns: int | None) -> list[list[_Press]]:
+def _group_presses(presses: Sequence[_Press], columns: int | None) -> list[list[_Press]]:
     """Join presses that are neighbours on the skin and overlap in time, or nearly."""
     groups: dict[int, list[_Press]] = {}
     recent: list[tuple[_Press, int]] = []
     for number, press in enumerate(presses):
         recent = [(other, group) for other, group in recent if press.onset <= other.offset + _PAUSE]
-        joined = {group for other, group in recent if _neighbours(press.cell, other.cell, columns)}
+        joined = {group for other, group in recent if _are_neighbours(press.cell, other.cell, columns)}
         groups[number] = [press, *(other for group in sorted(joined) for other in groups.pop(group))]
         recent = [(other, number if group in joined else group) for other, group in recent] + [(press, number)]
     return list(groups.values())
 
 
-def _neighbours(cell: int, other: int, columns: int | None) -> bool:
+def _are_neighbours(cell: int, other: int, columns: int | None) -> bool:
     if columns is None:
         return abs(cell - other) <= _NEIGHBOUR
     (row, column), (other_row, other_column) = divmod(cell, columns), divmod(other, columns)
     return max(abs(row - other_row), abs(column - other_column)) <= _NEIGHBOUR
 
 
-def _touch(skin: Series, level: Array, group: Sequence[_Press]) -> Touch:
+def _touch_of_presses(skin: Series, level: Array, group: Sequence[_Press]) -> Touch:
     """One touch from its presses; the strongest cell is the one with the highest mean while pressed."""
     first = min(group, key=lambda press: (press.onset, press.cell))
     means: dict[int, float] = {}
@@ -135,7 +135,7 @@ def _touch(skin: Series, level: Array, group: Sequence[_Press]) -> Touch:
     )
 
 
-def _health(t: Array, readable: Array) -> Health:
+def _skin_health(t: Array, readable: Array) -> Health:
     """Readings used: those with at least one finite cell."""
     used = readable.any(axis=1) if readable.size else np.zeros(len(t), dtype=bool)
     lost = int(len(t) - used.sum())
@@ -143,14 +143,14 @@ def _health(t: Array, readable: Array) -> Health:
     return Health(len(t), int(used.sum()), {"not a number": lost} if lost else {}, float(gaps.max(initial=0.0)))
 
 
-def _unreadable(readable: Array) -> tuple[Finding, ...]:
+def _unreadable_findings(readable: Array) -> tuple[Finding, ...]:
     if readable.all():
         return ()
     share = 1 - float(readable.mean())
     return (Finding("warning", f"skin: {share:.1%} of the readings are not numbers, taken as untouched"),)
 
 
-def _broken(level: Array, dead: Array, held: Array) -> tuple[Finding, ...]:
+def _broken_cell_findings(level: Array, dead: Array, held: Array) -> tuple[Finding, ...]:
     """Warnings about cells that cannot feel."""
     cells = level.shape[1]
     if dead.all() and (level == level[0, 0]).all():
@@ -161,13 +161,13 @@ def _broken(level: Array, dead: Array, held: Array) -> tuple[Finding, ...]:
         return (Finding("warning", f"{text}; type: --without touch"),)
     found = []
     if (dead & ~held).any():
-        found.append(Finding("warning", f"skin: {_listed(dead & ~held)} never change their reading: dead"))
+        found.append(Finding("warning", f"skin: {_list_cells(dead & ~held)} never change their reading: dead"))
     if held.any():
-        found.append(Finding("warning", f"skin: {_listed(held)} read touched from first to last: stuck, left out"))
+        found.append(Finding("warning", f"skin: {_list_cells(held)} read touched from first to last: stuck, left out"))
     return tuple(found)
 
 
-def _listed(cells: Array) -> str:
+def _list_cells(cells: Array) -> str:
     numbers = np.flatnonzero(cells).tolist()
     more = f" and {len(numbers) - _LISTED} more" if len(numbers) > _LISTED else ""
     return f"{len(numbers)} of {len(cells)} cells ({', '.join(map(str, numbers[:_LISTED]))}{more})"

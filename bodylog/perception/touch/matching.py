@@ -26,17 +26,17 @@ def match_touches(touches: Sequence[Touch], strokes: Sequence[Stroke], clock_off
 
     `clock_offset` "auto" subtracts the log's own median delay where its spread is small; ConfigError for other texts.
     """
-    partners = _pairs(touches, strokes, 0.0 if clock_offset == "auto" else _seconds(clock_offset))
+    partners = _assign_strokes(touches, strokes, 0.0 if clock_offset == "auto" else _parse_clock_offset(clock_offset))
     paired = [(i, j) for i, j in enumerate(partners) if j is not None]
-    delays = np.array([_delay(touches[i], strokes[j]) for i, j in paired])
-    offset, findings = _offset(delays, clock_offset)
+    delays = np.array([_delay_of_stroke(touches[i], strokes[j]) for i, j in paired])
+    offset, findings = _offset_between_clocks(delays, clock_offset)
     found = [Synchrony(touch, None, np.nan, 0.0) for touch in range(len(touches))]
     for (i, j), delay in zip(paired, (delays - offset).tolist(), strict=True):
         found[i] = Synchrony(i, j, delay, float(np.exp(-B2 * delay**2)))
     return tuple(found), findings
 
 
-def _seconds(offset: float | str) -> float:
+def _parse_clock_offset(offset: float | str) -> float:
     try:
         return float(offset)
     except ValueError:
@@ -45,12 +45,12 @@ def _seconds(offset: float | str) -> float:
         ) from None
 
 
-def _delay(touch: Touch, stroke: Stroke) -> float:
+def _delay_of_stroke(touch: Touch, stroke: Stroke) -> float:
     """Seen − felt (s), the mean of beginnings and ends."""
     return 0.5 * ((stroke.start - touch.onset) + (stroke.end - touch.offset))
 
 
-def _pairs(touches: Sequence[Touch], strokes: Sequence[Stroke], offset: float) -> list[int | None]:
+def _assign_strokes(touches: Sequence[Touch], strokes: Sequence[Stroke], offset: float) -> list[int | None]:
     """Each touch's stroke or None: in order, each stroke at most once, the total cost least.
 
     Leaving a touch and a stroke unpaired costs as much as a pair _FARTHEST s apart: only strokes
@@ -64,7 +64,7 @@ def _pairs(touches: Sequence[Touch], strokes: Sequence[Stroke], offset: float) -
     for touch, first, end in zip(felt, low.tolist(), high.tolist(), strict=True):
         costs = np.abs(seen[first:end] - touch - offset).mean(axis=1)
         rows.append(_next_row(rows[-1], first, costs.tolist()))
-    return _partners(rows, len(strokes))
+    return _trace_partners(rows, len(strokes))
 
 
 class _Row(NamedTuple):
@@ -94,7 +94,7 @@ def _next_row(before: _Row, first: int, costs: list[float]) -> _Row:
     return _Row(first, total, step)
 
 
-def _partners(rows: list[_Row], strokes: int) -> list[int | None]:
+def _trace_partners(rows: list[_Row], strokes: int) -> list[int | None]:
     """Each touch's stroke or None, read backwards from the last touch with all strokes."""
     partners: list[int | None] = [None] * (len(rows) - 1)
     touch, stroke = len(rows) - 1, strokes
@@ -109,11 +109,11 @@ def _partners(rows: list[_Row], strokes: int) -> list[int | None]:
     return partners
 
 
-def _offset(delays: Array, wanted: float | str) -> tuple[float, tuple[Finding, ...]]:
+def _offset_between_clocks(delays: Array, wanted: float | str) -> tuple[float, tuple[Finding, ...]]:
     """The offset to subtract from the delays (s), and findings: the median of at least three steady ones, or 0."""
     if not delays.size:
-        return (0.0 if wanted == "auto" else _seconds(wanted)), ()
-    middle, spread = float(np.median(delays)), _spread(delays)
+        return (0.0 if wanted == "auto" else _parse_clock_offset(wanted)), ()
+    middle, spread = float(np.median(delays)), _robust_std(delays)
     order = "after" if middle >= 0 else "before"
     text = f"synchrony: the camera shows touches {abs(middle):.3f} s {order} the skin feels them"
     text += f" (spread {spread:.3f} s, {delays.size} pairs)"
@@ -121,12 +121,12 @@ def _offset(delays: Array, wanted: float | str) -> tuple[float, tuple[Finding, .
     if wanted != "auto":
         if steady and abs(middle) > _NOTABLE:
             text += "; if that is the camera's latency, type: --clock-offset auto"
-        return _seconds(wanted), (Finding("info", text),)
+        return _parse_clock_offset(wanted), (Finding("info", text),)
     if steady:
         return middle, (Finding("info", f"{text}; subtracted as the clocks' offset"),)
     return 0.0, (Finding("warning", f"{text}; too few or too unsteady for a clocks' offset: none subtracted"),)
 
 
-def _spread(delays: Array) -> float:
+def _robust_std(delays: Array) -> float:
     """Robust standard deviation (s)."""
     return 1.4826 * float(np.median(np.abs(delays - np.median(delays))))

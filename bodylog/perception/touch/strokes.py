@@ -27,7 +27,7 @@ _AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
+class _PathPiece:
     """Even motion from start to end (s): at `place` (2,) px when t = middle, moving with `velocity` (2,) px/s."""
 
     start: float
@@ -44,20 +44,20 @@ class _Piece:
         return np.asarray(self.place + self.velocity * (t - self.middle))
 
 
-def strokes(hand: Series) -> tuple[Stroke, ...]:
+def find_strokes(hand: Series) -> tuple[Stroke, ...]:
     """The contact strokes in a hand's track (N,2) px, in order; a stroke never spans a gap in the track."""
     seen = np.isfinite(hand.values).all(axis=1)
     t, place = hand.t[seen], hand.values[seen]
     found: list[Stroke] = []
-    for part in _stretches(t, place):
+    for part in _tracked_stretches(t, place):
         if len(t[part]) >= 3 * _FEWEST:
             reach = max(1.5 * float(np.median(np.diff(t[part]))), _REACH)
-            for about in _contacts(_pieces(t[part], place[part])):
-                found += _stroke(t[part], place[part], about, reach)
+            for about in _contact_times(_fit_path_pieces(t[part], place[part])):
+                found += _measure_stroke(t[part], place[part], about, reach)
     return tuple(found)
 
 
-def _stretches(t: Array, place: Array) -> list[slice]:
+def _tracked_stretches(t: Array, place: Array) -> list[slice]:
     """The stretches in which the hand was tracked without a long gap or a jump."""
     step = np.hypot(*np.diff(place, axis=0).T) / np.maximum(np.diff(t), 1e-6)
     usual = float(np.quantile(step, 0.9)) if step.size else 0.0
@@ -66,9 +66,9 @@ def _stretches(t: Array, place: Array) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
-def _pieces(t: Array, place: Array) -> list[_Piece]:
+def _fit_path_pieces(t: Array, place: Array) -> list[_PathPiece]:
     """The path as the fewest straight, even pieces its noise allows."""
-    edges = np.array(_cuts(t, place))
+    edges = np.array(_choose_cuts(t, place))
     begins, count = edges[:-1], np.diff(edges)
     middle = np.add.reduceat(t, begins) / count
     where = np.add.reduceat(place, begins) / count[:, None]
@@ -76,18 +76,18 @@ def _pieces(t: Array, place: Array) -> list[_Piece]:
     along = np.add.reduceat(away[:, None] * (place - np.repeat(where, count, axis=0)), begins)
     velocity = along / np.add.reduceat(away * away, begins)[:, None]
     times = zip(t[begins].tolist(), t[edges[1:] - 1].tolist(), middle.tolist(), strict=True)
-    return [_Piece(*each, w, v) for each, w, v in zip(times, where, velocity, strict=True)]
+    return [_PathPiece(*each, w, v) for each, w, v in zip(times, where, velocity, strict=True)]
 
 
-def _cuts(t: Array, place: Array) -> list[int]:
+def _choose_cuts(t: Array, place: Array) -> list[int]:
     """Edges of the pieces (0 … n) that minimise squared error over noise plus a price per piece (Bayes' criterion)."""
     count = len(t)
     longest = max(2 * _FEWEST, int(np.searchsorted(t - t[0], _LONGEST)))
-    price, came = _noise(place) ** 2 * 5.0 * np.log(count), np.zeros(count + 1, dtype=int)
+    price, came = _path_noise_px(place) ** 2 * 5.0 * np.log(count), np.zeros(count + 1, dtype=int)
     # the cost up to each edge, padded with impossible edges for one longest piece
     cost = np.full(longest + count + 1, np.inf)
     cost[longest] = 0.0
-    for end, errors in enumerate(_errors(t, place, longest), _FEWEST):
+    for end, errors in enumerate(_squared_errors_by_end(t, place, longest), _FEWEST):
         total = cost[end : end + len(errors)] + errors
         best = int(total.argmin())
         cost[longest + end], came[end] = total[best] + price, end - longest + best
@@ -104,7 +104,7 @@ def _running_sums(t: Array, place: Array) -> Array:
     return np.hstack([np.zeros((8, 1)), np.cumsum(rows, axis=1)])
 
 
-def _errors(t: Array, place: Array, longest: int) -> Iterator[Array]:
+def _squared_errors_by_end(t: Array, place: Array, longest: int) -> Iterator[Array]:
     """For each end from _FEWEST on, the squared errors of the lines from `longest` points before it to _FEWEST before.
 
     Those that would begin before the first point begin there. Sums run over the points of a few ends alone, counted
@@ -129,31 +129,31 @@ def _squared_error(sums: Array) -> Array:
     return np.asarray(np.maximum(square - (u * u + v * v) / n - along / spread, 0.0))
 
 
-def _noise(place: Array) -> float:
+def _path_noise_px(place: Array) -> float:
     """Standard deviation (px) of one coordinate about a smooth path: third differences have 20 times its variance."""
     third = np.diff(place, n=3, axis=0)
     return max(0.1, 1.4826 * float(np.median(np.abs(third))) / np.sqrt(20.0)) if third.size else 0.1
 
 
-def _contacts(pieces: Sequence[_Piece]) -> list[tuple[float, float]]:
+def _contact_times(pieces: Sequence[_PathPiece]) -> list[tuple[float, float]]:
     """About when (s) the slow stretches between faster pieces begin and end."""
     speeds = [piece.speed for piece in pieces]
     found = []
     after = 0
     for index in range(1, len(pieces) - 1):
         if index > after and speeds[index - 1] >= speeds[index] < speeds[index + 1]:
-            before, after = _peaks(speeds, index)
+            before, after = _peaks_beside_valley(speeds, index)
             fast = min(speeds[before], speeds[after])
-            first, last = _below(speeds, index, _SLOW * fast)
+            first, last = _pieces_below_limit(speeds, index, _SLOW * fast)
             if first <= last:
                 steady = max(pieces[first : last + 1], key=lambda piece: piece.end - piece.start)
                 limit = min(_SLOW * fast, (steady.speed * fast) ** 0.5)
-                first, last = _below(speeds, index, max(1.01 * speeds[index], limit))
-                found.append((_between(pieces, first), _between(pieces, last + 1)))
+                first, last = _pieces_below_limit(speeds, index, max(1.01 * speeds[index], limit))
+                found.append((_time_between_pieces(pieces, first), _time_between_pieces(pieces, last + 1)))
     return found
 
 
-def _peaks(speeds: Sequence[float], valley: int) -> tuple[int, int]:
+def _peaks_beside_valley(speeds: Sequence[float], valley: int) -> tuple[int, int]:
     """The pieces of highest speed on either side of a valley."""
     before = after = valley
     while before > 0 and speeds[before - 1] >= speeds[before]:
@@ -163,7 +163,7 @@ def _peaks(speeds: Sequence[float], valley: int) -> tuple[int, int]:
     return before, after
 
 
-def _below(speeds: Sequence[float], valley: int, limit: float) -> tuple[int, int]:
+def _pieces_below_limit(speeds: Sequence[float], valley: int, limit: float) -> tuple[int, int]:
     """First and last piece around a valley below a speed limit; last < first where the valley itself is above it."""
     if speeds[valley] >= limit:
         return valley, valley - 1
@@ -175,22 +175,22 @@ def _below(speeds: Sequence[float], valley: int, limit: float) -> tuple[int, int
     return first, last
 
 
-def _between(pieces: Sequence[_Piece], second: int) -> float:
+def _time_between_pieces(pieces: Sequence[_PathPiece], second: int) -> float:
     return 0.5 * (pieces[second - 1].end + pieces[second].start)
 
 
-def _stroke(t: Array, place: Array, about: tuple[float, float], reach: float) -> list[Stroke]:
+def _measure_stroke(t: Array, place: Array, about: tuple[float, float], reach: float) -> list[Stroke]:
     """The stroke around these times, both ends found to less than a frame; empty if too short."""
     middle = 0.5 * (about[0] + about[1])
-    start, start_px = _corner(t, place, about[0], middle, reach)
-    end, end_px = _corner(-t[::-1], place[::-1], -about[1], -middle, reach)
+    start, start_px = _find_corner(t, place, about[0], middle, reach)
+    end, end_px = _find_corner(-t[::-1], place[::-1], -about[1], -middle, reach)
     end = -end
     if end - start < _SHORTEST or float(np.hypot(*(end_px - start_px))) < _STEP:
         return []
     return [Stroke(start, end, (float(start_px[0]), float(start_px[1])), (float(end_px[0]), float(end_px[1])))]
 
 
-def _corner(t: Array, place: Array, about: float, until: float, reach: float) -> tuple[float, Array]:
+def _find_corner(t: Array, place: Array, about: float, until: float, reach: float) -> tuple[float, Array]:
     """When (s) and where (2,) px the path turns from accelerated motion to an even one, within `reach` of `about`.
 
     Least squares of a path that is continuous, of second order before the corner and of first order after it.
@@ -199,11 +199,11 @@ def _corner(t: Array, place: Array, about: float, until: float, reach: float) ->
         first, even = np.searchsorted(t, (about - reach, min(until, about + _EVEN))).tolist()
         near = slice(max(0, first - _APPROACH), max(int(np.searchsorted(t, about)) + 3, even))
         times = about + np.linspace(-width, width, 61)
-        about = float(times[int(np.argmin(_bends(t[near], place[near], times)))])
-    return about, _turn(t[near], place[near], about)
+        about = float(times[int(np.argmin(_errors_of_corners(t[near], place[near], times)))])
+    return about, _place_of_corner(t[near], place[near], about)
 
 
-def _bends(t: Array, place: Array, corners: Array) -> Array:
+def _errors_of_corners(t: Array, place: Array, corners: Array) -> Array:
     """Squared error (K,) of the best path with its corner at each of these times (K,)."""
     away = (t - corners[:, None]) / (t[-1] - t[0])
     before, after = np.minimum(away, 0.0), np.maximum(away, 0.0)
@@ -222,7 +222,7 @@ def _bends(t: Array, place: Array, corners: Array) -> Array:
     return np.asarray((place**2).sum() - (along**2).sum(axis=1).reshape(3, -1).sum(axis=0))
 
 
-def _turn(t: Array, place: Array, corner: float) -> Array:
+def _place_of_corner(t: Array, place: Array, corner: float) -> Array:
     """The corner (2,) px of the best path with its corner at that time."""
     before, after = np.minimum(t - corner, 0.0), np.maximum(t - corner, 0.0)
     columns = [np.ones_like(t), before, after]

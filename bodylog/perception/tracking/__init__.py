@@ -10,16 +10,16 @@ from ...types import Array, Finding, Health, Series
 from ..tags import charuco, tags
 from .contract import HIDDEN, Tracked, Tracker
 
-__all__ = ["FRAME_SOURCES", "Tracked", "Tracker", "series", "trackers"]
+__all__ = ["FRAME_SOURCES", "Tracked", "Tracker", "series_of_tracked", "make_trackers"]
 
 FRAME_SOURCES: Mapping[type[Source], Callable[[Mapping[str, Any]], list[Tracker]]] = {
-    TagSource: tags.trackers,
-    CharucoSource: charuco.trackers,
+    TagSource: tags.tag_trackers,
+    CharucoSource: charuco.charuco_trackers,
 }
 """The kinds of source that need frames in the order of the file: features {name: source} -> trackers."""
 
 
-def trackers(features: Mapping[str, Source]) -> list[Tracker]:
+def make_trackers(features: Mapping[str, Source]) -> list[Tracker]:
     """The trackers of one camera, for all features searched for in its frames."""
     found: list[Tracker] = []
     for kind, begin in FRAME_SOURCES.items():
@@ -28,7 +28,7 @@ def trackers(features: Mapping[str, Source]) -> list[Tracker]:
     return found
 
 
-def series(
+def series_of_tracked(
     tracked: Sequence[Tracked], t: Array, source_ns: Array, numbers: Array
 ) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]:
     """Series (u, v, std px; NaN where not seen), Health by reason, and findings; `numbers` (n,): which frames."""
@@ -39,12 +39,12 @@ def series(
         rows, why = one.values[numbers], one.reasons[numbers]
         for k, name in enumerate(one.names):
             tracks[name] = Series(t, rows[:, k, :2], ("u", "v"), "px", source_ns, rows[:, k, 2:])
-            health[name] = _health(t, np.isfinite(rows[:, k, 0]), why)
+            health[name] = _health_of_tracked(t, np.isfinite(rows[:, k, 0]), why)
         findings += one.findings
     return tracks, health, tuple(findings)
 
 
-def _health(t: Array, used: Array, why: Array) -> Health:
+def _health_of_tracked(t: Array, used: Array, why: Array) -> Health:
     """Counts of one track; a part not seen in a frame that shows the rest counts as hidden."""
     kinds, counts = np.unique(np.where(why[~used] == "", HIDDEN, why[~used]), return_counts=True)
     gaps = np.diff(t[used])

@@ -11,11 +11,11 @@ import numpy as np
 
 from ...errors import InputError
 from ...runtime.blas_threads import lower_priority, one_opencv
-from ...types import Array, ConsumedFrames, Frame
+from ...types import Array, ConsumedFrames, LazyImage
 from ..colours import blob_measurement as blobs
 from ..colours import coarse_search
-from ..colours.coarse_search import Window, gray
-from ..colours.hsv_ranges import Range
+from ..colours.coarse_search import Window, convert_to_gray
+from ..colours.hsv_ranges import HsvRange
 from .contract import Tracked, Tracker
 from .in_order import InOrder
 
@@ -26,7 +26,7 @@ _AT_ONCE = 1 << 23
 """Bytes of images searched together."""
 
 
-class Seen(NamedTuple):
+class SearchedFrames(NamedTuple):
     """t (N,) · source_ns (N,) · blobs (N,colours,CANDIDATES,FIELDS) px · undecodable (N,) bool · greatest width, px.
 
     size: width and height (px) of the log's first image; None where it cannot be read. tracked: what each tracker
@@ -43,7 +43,7 @@ class Seen(NamedTuple):
     number: Array = np.empty(0, np.int64)
 
 
-Take = tuple[int, list[Frame]]
+Take = tuple[int, list[LazyImage]]
 """Images in order, and the number of lists before this one."""
 
 SearchResult = tuple[list[Window], list[tuple[int, int, int]]]
@@ -60,7 +60,7 @@ class FrameSearcher:
 
     def __init__(
         self,
-        ranges: Sequence[Range],
+        ranges: Sequence[HsvRange],
         progress: Callable[[int], None] | None,
         fast: bool,
         threads: int,
@@ -70,7 +70,7 @@ class FrameSearcher:
         self._ranges, self._progress, self._threads = ranges, progress, threads
         self._fast, self._trackers, self._in_order = fast and not trackers, trackers, InOrder(trackers)
         self._begun, self._others = ExitStack(), list[Future[None]]()
-        self._ready, self._told, self._over = Condition(), list[Frame](), False
+        self._ready, self._told, self._over = Condition(), list[LazyImage](), False
         self._waiting, self._takes = deque[Take](), 0
         self._sheets: dict[int, dict[int, SearchResult]] = {}
         self._measured: dict[int, tuple[Array, Array]] = {}
@@ -79,7 +79,7 @@ class FrameSearcher:
         """Itself."""
         return self
 
-    def __call__(self, frame: Frame) -> None:
+    def __call__(self, frame: LazyImage) -> None:
         """Add an image; its time does not matter. Errors of other threads are raised here."""
         self._told.append(frame)
         if len(self._told) == _TAKEN:
@@ -99,17 +99,17 @@ class FrameSearcher:
         for other in self._others if kind is None else ():
             other.result()
 
-    def seen(self, consumed: ConsumedFrames) -> Seen:
+    def seen(self, consumed: ConsumedFrames) -> SearchedFrames:
         """The search results of the consumed images that are frames."""
         for sheet, results in self._sheets.items():
-            self._measured[sheet] = _measured(results, self._ranges)
-        parts = [_measured({}, self._ranges), *(part for _, part in sorted(self._measured.items()))]
+            self._measured[sheet] = _measure_results(results, self._ranges)
+        parts = [_measure_results({}, self._ranges), *(part for _, part in sorted(self._measured.items()))]
         found, sizes = (np.concatenate(each) for each in zip(*parts, strict=True))
         first = next(((width, height) for width, height, _ in sizes[:1].tolist() if width), None)
         wide, _, scale = sizes[consumed.number].T
-        whole = blobs.enlarged(found[consumed.number], scale)
+        whole = blobs.enlarge_blobs(found[consumed.number], scale)
         width, tracked = float((wide * scale).max(initial=0)), tuple(tracker.tracked() for tracker in self._trackers)
-        return Seen(consumed.t, consumed.source_ns, whole, wide == 0, width, first, tracked, consumed.number)
+        return SearchedFrames(consumed.t, consumed.source_ns, whole, wide == 0, width, first, tracked, consumed.number)
 
     def _begin(self) -> None:
         self._begun.enter_context(one_opencv())
@@ -140,10 +140,10 @@ class FrameSearcher:
                 number, frames = self._waiting.popleft()
             self._search(number, frames)
 
-    def _search(self, number: int, frames: Sequence[Frame]) -> None:
+    def _search(self, number: int, frames: Sequence[LazyImage]) -> None:
         """Search images; the thread that completes a sheet measures it."""
         grays: list[Array | None] | None = [] if self._trackers else None
-        found = _search(frames, self._ranges, self._fast, 0 if number else 1, grays)
+        found = _search_images(frames, self._ranges, self._fast, 0 if number else 1, grays)
         if grays is not None:
             self._in_order.put(number, grays)
         sheet = number // _SHEET
@@ -153,11 +153,11 @@ class FrameSearcher:
             if self._progress:
                 self._progress(len(frames))
         if whole:
-            self._measured[sheet] = _measured(whole, self._ranges)
+            self._measured[sheet] = _measure_results(whole, self._ranges)
 
 
-def _search(
-    frames: Sequence[Frame], ranges: Sequence[Range], fast: bool, whole: int, grays: list[Array | None] | None
+def _search_images(
+    frames: Sequence[LazyImage], ranges: Sequence[HsvRange], fast: bool, whole: int, grays: list[Array | None] | None
 ) -> SearchResult:
     """Search some images, the first few at full size even when `fast`; `grays` gets them in gray."""
     found: list[Window] = []
@@ -165,29 +165,29 @@ def _search(
     sizes: list[tuple[int, int, int]] = []
     for picture, frame in enumerate(frames):
         scale = 2 if fast and frame.shrinks and picture >= whole else 1
-        image = _decoded(frame, scale)
+        image = _decode_or_none(frame, scale)
         sizes.append((0, 0, scale) if image is None else (image.shape[1], image.shape[0], scale))
         if grays is not None:
-            grays.append(None if image is None else gray(image))
+            grays.append(None if image is None else convert_to_gray(image))
         if image is not None:
             images[picture] = image
         if sum(image.size for image in images.values()) > _AT_ONCE:
-            found += coarse_search.windows(images, ranges)
+            found += coarse_search.find_windows(images, ranges)
             images.clear()
-    return [*found, *coarse_search.windows(images, ranges)], sizes
+    return [*found, *coarse_search.find_windows(images, ranges)], sizes
 
 
-def _decoded(frame: Frame, scale: int) -> Array | None:
+def _decode_or_none(frame: LazyImage, scale: int) -> Array | None:
     with suppress(InputError):
         return frame.decode(scale)
     return None
 
 
-def _measured(results: Mapping[int, SearchResult], ranges: Sequence[Range]) -> tuple[Array, Array]:
+def _measure_results(results: Mapping[int, SearchResult], ranges: Sequence[HsvRange]) -> tuple[Array, Array]:
     """Blobs (n,colours,CANDIDATES,FIELDS) and sizes (n,3) of search results by number."""
     found: list[Window] = []
     sizes: list[tuple[int, int, int]] = []
     for _, (windows, measured) in sorted(results.items()):
         found += [window._replace(picture=window.picture + len(sizes)) for window in windows]
         sizes += measured
-    return blobs.tables(found, len(sizes), ranges), np.array(sizes, dtype=np.int64).reshape(-1, 3)
+    return blobs.blob_tables(found, len(sizes), ranges), np.array(sizes, dtype=np.int64).reshape(-1, 3)

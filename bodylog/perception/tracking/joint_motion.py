@@ -39,7 +39,7 @@ class Regression:
         """Fit to samples, each weighted by its std (n,)."""
         precision = 1 / np.square(std)
         mean = (precision @ y) / precision.sum()
-        factor = np.linalg.cholesky(_kernel(q, q) + np.diag(np.square(std / amplitude)))
+        factor = np.linalg.cholesky(_posture_kernel(q, q) + np.diag(np.square(std / amplitude)))
         weights = np.linalg.solve(factor.T, np.linalg.solve(factor, y - mean))
         return cls(q, mean, factor, weights, amplitude)
 
@@ -48,29 +48,29 @@ class Regression:
         mean, std = np.empty((len(q), len(self.mean))), np.empty(len(q))
         for start in range(0, len(q), _AT_ONCE):
             some = slice(start, start + _AT_ONCE)
-            across = _kernel(q[some], self.q)
+            across = _posture_kernel(q[some], self.q)
             known = np.linalg.solve(self.factor, across.T)
             mean[some] = self.mean + across @ self.weights
             std[some] = self.amplitude * np.sqrt(np.maximum(1 - (known**2).sum(axis=0), 0))
         return mean, std
 
 
-def angles(joints: Series | None, t: Array, delay: float = 0.0) -> Array:
+def moving_postures(joints: Series | None, t: Array, delay: float = 0.0) -> Array:
     """Postures (N,M) rad of the joints that move, `delay` s before t (N,); M is 0 where no joint moves."""
     if joints is None or len(t) < 2:
         return np.zeros((len(t), 0))
     readings = [(joints.t[there], column[there]) for column in joints.values.T if (there := np.isfinite(column)).any()]
     columns = [np.interp(t - delay, at, angle) for at, angle in readings]
-    moving = [part for column in columns if _moves(column) for part in _postures(column)]
+    moving = [part for column in columns if _angle_moves(column) for part in _posture_columns(column)]
     return np.array(moving).reshape(-1, len(t)).T
 
 
-def _postures(angle: Array) -> list[Array]:
+def _posture_columns(angle: Array) -> list[Array]:
     """Columns (n,) in which like postures are near: an angle from its mean, or a wheel's place on the unit circle."""
     return [angle - angle.mean()] if np.ptp(angle) <= 2 * np.pi else [np.cos(angle), np.sin(angle)]
 
 
-def _moves(angle: Array) -> bool:
+def _angle_moves(angle: Array) -> bool:
     """Whether angles (n,) rad move: far, or steadily, unlike white noise (von Neumann's ratio 2)."""
     variance = float(angle.var())
     steadily = float(np.square(np.diff(angle)).mean()) < variance
@@ -84,7 +84,7 @@ def explained_share(q: Array, y: Array, width: float) -> float:
     """
     if len(y) < _FEWEST or not q.shape[1] or stands_still(y, width):
         return 0.0
-    rest, centred = residuals(q, y, width), y - np.median(y, axis=0)
+    rest, centred = held_out_place_residuals(q, y, width), y - np.median(y, axis=0)
     # no sample outweighs the usual one: a few foreign places must not decide
     total = (centred**2).sum(axis=1)
     lost = np.minimum((rest**2).sum(axis=1), 4 * max(float(total.mean()), 1e-9))
@@ -106,11 +106,11 @@ def beyond_chance(q: Array, frames: Array, y: Array, width: float) -> float:
     return max(0.0, (explained_share(q[frames], y, width) - chance) / (1 - min(chance, 0.99)))
 
 
-def residuals(q: Array, y: Array, width: float) -> Array:
+def held_out_place_residuals(q: Array, y: Array, width: float) -> Array:
     """Residuals (n,2) px of places y (n,2) px, predicted from angles q (n,M) of the other blocks of time."""
-    some = thinned(len(y), _MOST)
-    kernel, label = _kernel(q, q[some]), np.arange(len(y)) * _BLOCKS // len(y)
-    noise = np.square(_noise(width) / (_AMPLITUDE * width))
+    some = thin_indices(len(y), _MOST)
+    kernel, label = _posture_kernel(q, q[some]), np.arange(len(y)) * _BLOCKS // len(y)
+    noise = np.square(_assumed_noise_px(width) / (_AMPLITUDE * width))
     rest = np.empty(y.shape)
     for block in range(_BLOCKS):
         out, kept = label == block, np.flatnonzero(label[some] != block)
@@ -122,33 +122,33 @@ def residuals(q: Array, y: Array, width: float) -> Array:
     return rest
 
 
-def delay(joints: Series | None, t: Array, y: Array, width: float) -> float:
+def camera_delay_s(joints: Series | None, t: Array, y: Array, width: float) -> float:
     """The delay (s) of the camera's timestamps t (n,), of places y (n,2) px, against the joints'; 0 if unclear."""
-    some = thinned(len(t), _MOST // 2)
+    some = thin_indices(len(t), _MOST // 2)
     errors = []
     for late in _DELAYS.tolist():
-        q = angles(joints, t[some], late)
-        errors.append(np.median((residuals(q, y[some], width) ** 2).sum(axis=1)) if q.shape[1] else np.inf)
+        q = moving_postures(joints, t[some], late)
+        errors.append(np.median((held_out_place_residuals(q, y[some], width) ** 2).sum(axis=1)) if q.shape[1] else np.inf)
     best = int(np.argmin(errors))
     return float(_DELAYS[best]) if errors[best] < 0.8 * errors[len(errors) // 2] else 0.0
 
 
-def regression(q: Array, y: Array, std: Array, width: float) -> Regression:
+def fit_regression(q: Array, y: Array, std: Array, width: float) -> Regression:
     """Fit a function of angles q (n,M) to at most _MOST of the places y (n,2) px with noise std (n,) px."""
-    some = thinned(len(y), _MOST)
-    return Regression.fit(q[some], y[some], np.hypot(std[some], _noise(width)), _AMPLITUDE * width)
+    some = thin_indices(len(y), _MOST)
+    return Regression.fit(q[some], y[some], np.hypot(std[some], _assumed_noise_px(width)), _AMPLITUDE * width)
 
 
-def thinned(count: int, most: int) -> Array:
+def thin_indices(count: int, most: int) -> Array:
     """At most `most` of `count` indices, evenly spaced."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
-def _noise(width: float) -> float:
+def _assumed_noise_px(width: float) -> float:
     return max(1.0, 0.004 * width)
 
 
-def _kernel(a: Array, b: Array) -> Array:
+def _posture_kernel(a: Array, b: Array) -> Array:
     # by differences: the expanded squares of far angles lose all digits, and the matrix its Cholesky factor
     square = sum(np.square(np.subtract.outer(x, y)) for x, y in zip(a.T, b.T, strict=True))
     return np.asarray(np.exp(-0.5 / _LENGTH**2 * square))

@@ -9,7 +9,7 @@ _FAR_MORE = 3.0
 _AT_ONCE = 1024
 
 
-def steady(t: Array, std: Array) -> Array:
+def smooth_std(t: Array, std: Array) -> Array:
     """The usual std (N,2) px within half a second, or a point's own where that is far larger; NaN rows stay NaN.
 
     The usual variance is the mean without values far above the median: outlines that differ from image to
@@ -18,13 +18,13 @@ def steady(t: Array, std: Array) -> Array:
     seen = np.isfinite(std[:, 0])
     times, own = t[seen], std[seen]
     low, high = np.searchsorted(times, times - _NEAR), np.searchsorted(times, times + _NEAR, side="right")
-    usual = np.sqrt(_means(own**2, low, high))
+    usual = np.sqrt(_windowed_means(own**2, low, high))
     steadied = np.full(std.shape, np.nan)
     steadied[seen] = np.where(own > _FAR_MORE * usual, own, usual)
     return steadied
 
 
-def _means(values: Array, low: Array, high: Array) -> Array:
+def _windowed_means(values: Array, low: Array, high: Array) -> Array:
     """Means of values[low:high] up to _FAR_MORE² medians, by column: (N,2) of (N,2), a thousand rows at once."""
     count = high - low
     means = np.empty(values.shape[::-1])

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...types import Array
 from ..colours.blob_measurement import BORDER, MASS, STD_U, STD_V, STRENGTH, U, V
-from .std_smoothing import steady
+from .std_smoothing import smooth_std
 
 _PATIENCE = 0.5
 _REACH = 0.08
@@ -36,7 +36,7 @@ HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY, FOREIGN = (
 
 
 @dataclass
-class _Run:
+class _BlobRun:
     """One blob followed through time: frame indices and its rows of fields."""
 
     frames: list[int] = field(default_factory=list)
@@ -65,11 +65,11 @@ def select_target(t: Array, found: Array, width: float) -> tuple[Array, Array]:
     """u, v, std_u, std_v (N,4) px of the target among found (N,candidates,FIELDS), NaN where unsure; why (N,) str."""
     track = np.full((len(t), 4), np.nan)
     why = np.full(len(t), HIDDEN, dtype=object)
-    runs = _link(t, found, _REACH * width)
+    runs = _link_into_runs(t, found, _REACH * width)
     if not runs:
         return track, why
-    runs = _of_right_size(_undominated(runs, why), why)
-    runs = _reachable(t, runs, _REACH * width, why)
+    runs = _runs_of_right_size(_undominated_runs(runs, why), why)
+    runs = _reachable_runs(t, runs, _REACH * width, why)
     mass = np.full(len(t), np.nan)
     for run in runs:
         rows = run.table
@@ -77,32 +77,32 @@ def select_target(t: Array, found: Array, width: float) -> tuple[Array, Array]:
         why[run.index[rows[:, BORDER] == 1]] = EDGE
         track[run.index[clear]] = rows[clear][:, [U, V, STD_U, STD_V]]
         mass[run.index[clear]] = rows[clear][:, MASS]
-    track[:, 2:] = steady(t, track[:, 2:])
+    track[:, 2:] = smooth_std(t, track[:, 2:])
     _drop_partly_hidden(t, track, mass, why)
     return track, why
 
 
-def linked(t: Array, found: Array, width: float) -> list[tuple[Array, Array]]:
+def link_blobs(t: Array, found: Array, width: float) -> list[tuple[Array, Array]]:
     """Blobs found (N,candidates,FIELDS) joined through time: of each run its frames (n,) and rows (n,FIELDS)."""
-    return [(run.index, run.table) for run in _link(t, found, _REACH * width)]
+    return [(run.index, run.table) for run in _link_into_runs(t, found, _REACH * width)]
 
 
-def _link(t: Array, found: Array, reach: float) -> list[_Run]:
+def _link_into_runs(t: Array, found: Array, reach: float) -> list[_BlobRun]:
     """Blobs joined to the nearest open run that is close enough and of like size; others open a run."""
-    open_runs: list[_Run] = []
-    closed: list[_Run] = []
+    open_runs: list[_BlobRun] = []
+    closed: list[_BlobRun] = []
     seen = np.isfinite(found[:, :, U])
     some = np.flatnonzero(seen[:, 0])
-    times, frames, ends, at = t[some].tolist(), some.tolist(), _alone(t[some], found[some], reach), 0
+    times, frames, ends, at = t[some].tolist(), some.tolist(), _last_single_frames(t[some], found[some], reach), 0
     while at < len(frames):
         index = frames[at]
         closed += [run for run in open_runs if times[at] - t[run.frames[-1]] > _PATIENCE]
         open_runs = [run for run in open_runs if times[at] - t[run.frames[-1]] <= _PATIENCE]
         taken: set[int] = set()
         for row in found[index, seen[index]].tolist():
-            run = _nearest(open_runs, taken, row, reach)
+            run = _nearest_open_run(open_runs, taken, row, reach)
             if run is None:
-                run = _Run()
+                run = _BlobRun()
                 open_runs.append(run)
             taken.add(id(run))
             run.frames.append(index)
@@ -115,7 +115,7 @@ def _link(t: Array, found: Array, reach: float) -> list[_Run]:
     return sorted(closed + open_runs, key=lambda run: run.frames[0])
 
 
-def _alone(t: Array, found: Array, reach: float) -> list[int]:
+def _last_single_frames(t: Array, found: Array, reach: float) -> list[int]:
     """For each frame (n,), up to which one each shows a single blob that goes on where the one before was."""
     place, mass, border = found[:, 0, [U, V]], found[:, 0, MASS], found[:, 0, BORDER] == 1
     step, grown = np.hypot(*np.diff(place, axis=0).T), mass[1:] / mass[:-1]
@@ -126,7 +126,7 @@ def _alone(t: Array, found: Array, reach: float) -> list[int]:
     return list(breaks[np.searchsorted(breaks, np.arange(len(t)), side="right")].tolist())
 
 
-def _nearest(runs: list[_Run], taken: set[int], row: list[float], reach: float) -> _Run | None:
+def _nearest_open_run(runs: list[_BlobRun], taken: set[int], row: list[float], reach: float) -> _BlobRun | None:
     best_run, best_distance = None, reach
     for run in runs:
         last = run.rows[-1]
@@ -137,17 +137,17 @@ def _nearest(runs: list[_Run], taken: set[int], row: list[float], reach: float) 
     return best_run
 
 
-def _undominated(runs: list[_Run], why: Array) -> list[_Run]:
+def _undominated_runs(runs: list[_BlobRun], why: Array) -> list[_BlobRun]:
     """Runs that lose to no run they share frames with; where two tie, those frames are marked RIVAL."""
     beaten: set[int] = set()
     for first in range(len(runs)):
         for second in range(first + 1, len(runs)):
             if runs[second].frames[0] > runs[first].frames[-1]:
                 break
-            shared = _shared(runs[first].index, runs[second].index)
+            shared = _shared_frames(runs[first].index, runs[second].index)
             if not shared.size:
                 continue
-            winner = _winner(runs[first], runs[second])
+            winner = _stronger_run(runs[first], runs[second])
             if winner is None:
                 why[shared] = RIVAL
             else:
@@ -155,14 +155,14 @@ def _undominated(runs: list[_Run], why: Array) -> list[_Run]:
     return [run for index, run in enumerate(runs) if index not in beaten]
 
 
-def _shared(first: Array, second: Array) -> Array:
+def _shared_frames(first: Array, second: Array) -> Array:
     """The frames of two runs' frames in order that both have: the shorter's, looked up."""
     short, long = sorted((first, second), key=len)
     at = np.minimum(np.searchsorted(long, short), len(long) - 1)
     return np.asarray(short[long[at] == short])
 
 
-def _winner(first: _Run, second: _Run) -> int | None:
+def _stronger_run(first: _BlobRun, second: _BlobRun) -> int | None:
     """0 or 1 for the stronger run, or else for the moving one beside a still one; None when neither is clear."""
     ratio = first.strength / second.strength
     if ratio >= _LARGER or ratio <= 1 / _LARGER:
@@ -173,7 +173,7 @@ def _winner(first: _Run, second: _Run) -> int | None:
     return None
 
 
-def _of_right_size(runs: list[_Run], why: Array) -> list[_Run]:
+def _runs_of_right_size(runs: list[_BlobRun], why: Array) -> list[_BlobRun]:
     """Runs not much weaker than the longest one."""
     usual = max(runs, key=lambda run: len(run.frames)).strength
     kept = []
@@ -185,16 +185,16 @@ def _of_right_size(runs: list[_Run], why: Array) -> list[_Run]:
     return kept
 
 
-def _reachable(t: Array, runs: list[_Run], reach: float, why: Array) -> list[_Run]:
+def _reachable_runs(t: Array, runs: list[_BlobRun], reach: float, why: Array) -> list[_BlobRun]:
     """Drop still runs of a moving log that the target cannot reach at its speed."""
-    speed = 2.0 * max(_fastest(t, run) for run in runs)
+    speed = 2.0 * max(_fastest_speed(t, run) for run in runs)
     moving = max(run.extent for run in runs) > _MOVING
     ordered = sorted(runs, key=lambda run: -len(run.frames))
-    ends = _ends(t, ordered)
+    ends = _ends_of_runs(t, ordered)
     kept = np.zeros(len(ordered), bool)
     for number, run in enumerate(ordered):
         still = moving and len(run.frames) >= _EVIDENCE and run.extent < _STILL
-        kept[number] = not still or bool(_within(ends, number, reach, speed)[kept].all())
+        kept[number] = not still or bool(_runs_within_reach(ends, number, reach, speed)[kept].all())
         if not kept[number]:
             why[run.frames] = JUMP
     return [run for run, stays in zip(ordered, kept.tolist(), strict=True) if stays]
@@ -209,13 +209,13 @@ class _Ends(NamedTuple):
     last: Array
 
 
-def _ends(t: Array, runs: list[_Run]) -> _Ends:
+def _ends_of_runs(t: Array, runs: list[_BlobRun]) -> _Ends:
     start, end = t[[run.frames[0] for run in runs]], t[[run.frames[-1] for run in runs]]
     first, last = [run.table[0, [U, V]] for run in runs], [run.table[-1, [U, V]] for run in runs]
     return _Ends(start, end, np.array(first), np.array(last))
 
 
-def _within(ends: _Ends, number: int, reach: float, speed: float) -> Array:
+def _runs_within_reach(ends: _Ends, number: int, reach: float, speed: float) -> Array:
     """Whether the target gets from one run to each other (R,), or back, at that speed (px/s)."""
     sooner = ends.start[number] < ends.start
     gap = np.where(sooner, ends.start - ends.end[number], ends.start[number] - ends.end)
@@ -224,7 +224,7 @@ def _within(ends: _Ends, number: int, reach: float, speed: float) -> Array:
     return np.asarray((gap < 0) | (np.hypot(*step.T) <= reach + speed * gap))
 
 
-def _fastest(t: Array, run: _Run) -> float:
+def _fastest_speed(t: Array, run: _BlobRun) -> float:
     """The 95th percentile of a run's speed, px/s."""
     if len(run.frames) < 3:
         return 0.0
@@ -237,10 +237,10 @@ def _drop_partly_hidden(t: Array, track: Array, mass: Array, why: Array) -> None
     seen = np.flatnonzero(np.isfinite(mass))
     if not seen.size:
         return
-    usual, spread = _usual(t[seen], mass[seen])
+    usual, spread = _expected_area(t[seen], mass[seen])
     missing = 1 - mass[seen] / usual
     most = max(_DEFICIT, 5 * spread)
-    bad = np.union1d(seen[missing > most], _vanishing(mass, most))
+    bad = np.union1d(seen[missing > most], _indices_of_vanishing(mass, most))
     track[bad] = np.nan
     why[bad] = PARTLY
     # a disc of radius r that lost a share f of its area has its centre off by about f r
@@ -248,7 +248,7 @@ def _drop_partly_hidden(t: Array, track: Array, mass: Array, why: Array) -> None
     track[seen, 2:] = np.hypot(track[seen, 2:], shift[:, None])
 
 
-def _vanishing(mass: Array, most: float) -> Array:
+def _indices_of_vanishing(mass: Array, most: float) -> Array:
     """Indices beside unseen frames whose area is a share `most` below that of the two seen frames next to them."""
     mass, found = mass.copy(), []
     for _ in range(3):
@@ -261,19 +261,19 @@ def _vanishing(mass: Array, most: float) -> Array:
     return np.concatenate(found)
 
 
-def _usual(t: Array, mass: Array) -> tuple[Array, float]:
+def _expected_area(t: Array, mass: Array) -> tuple[Array, float]:
     """The area expected at each time from lines through the whole views around it, and the share it scatters by."""
     whole = np.ones(len(t))
     expected, spread = mass, 0.0
     for _ in range(3):
-        expected = _lines(t, mass, whole)
+        expected = _values_on_local_lines(t, mass, whole)
         missing = 1 - mass / expected
         spread = 1.4826 * float(np.median(np.abs(missing)))
         whole = (missing < max(_CHANGE, 3 * spread)).astype(float)
     return expected, spread
 
 
-def _lines(t: Array, values: Array, weight: Array) -> Array:
+def _values_on_local_lines(t: Array, values: Array, weight: Array) -> Array:
     """At each time, the weighted line through the values within _NEAR s: (N,); the value itself if none count.
 
     Running sums restart every _AT_ONCE rows, with times and values from there on: those of a whole log are so
@@ -286,14 +286,14 @@ def _lines(t: Array, values: Array, weight: Array) -> Array:
         near = slice(int(low[some][0]), int(high[some][-1]))
         windows = low[some] - near.start, high[some] - near.start
         origin = t[first], values[first]
-        lines = _windowed(t[near] - origin[0], values[near] - origin[1], weight[near], *windows)
+        lines = _line_fits_of_windows(t[near] - origin[0], values[near] - origin[1], weight[near], *windows)
         n, middle, mean, slope = lines
         line = origin[1] + mean + slope * (t[some] - origin[0] - middle)
         expected[some] = np.where(n > 0.5, np.maximum(line, 1.0), values[some])
     return expected
 
 
-def _windowed(t: Array, values: Array, weight: Array, low: Array, high: Array) -> tuple[Array, Array, Array, Array]:
+def _line_fits_of_windows(t: Array, values: Array, weight: Array, low: Array, high: Array) -> tuple[Array, Array, Array, Array]:
     """Weight, mean time, mean value and slope of the rows low to high (K,) of each window: (K,) each."""
     columns = weight[:, None] * np.column_stack([np.ones_like(t), t, t * t, values, t * values])
     running = np.vstack([np.zeros(5), np.cumsum(columns, axis=0)])

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import UsageError
-from ...io.atomic_files import replacing
+from ...io.atomic_files import replace_atomically
 from ...overlay_style import MEASURED
 
 FORMATS = {
@@ -39,12 +39,12 @@ _STYLE = {
 
 
 @contextmanager
-def figure(out: Path, width: float, height: float, more: Sequence[str] = ()) -> Iterator[Any]:
+def open_figure(out: Path, width: float, height: float, more: Sequence[str] = ()) -> Iterator[Any]:
     """An empty Figure of width x height inches, written to `out` at the end, and beside it with the
     suffixes `more`; UsageError: no matplotlib, suffix.
     """
-    _known(out)
-    matplotlib = _matplotlib()
+    _require_known_format(out)
+    matplotlib = _import_matplotlib()
     with matplotlib.rc_context():
         matplotlib.rcdefaults()  # independent of the user's matplotlibrc: same input, same bytes
         matplotlib.rcParams.update(_STYLE)
@@ -52,30 +52,30 @@ def figure(out: Path, width: float, height: float, more: Sequence[str] = ()) -> 
         matplotlib.backends.backend_agg.FigureCanvasAgg(drawing)
         yield drawing
         for path in (out, *(out.with_suffix(suffix) for suffix in more)):
-            with replacing(path) as beside:
-                _save(drawing, beside, path.suffix.lower())
+            with replace_atomically(path) as beside:
+                _save_figure(drawing, beside, path.suffix.lower())
             drawing.set_layout_engine("none")  # what was laid out once stays; it takes half of the time
 
 
-def label(name: str, longest: int = 40) -> str:
+def printable_label(name: str, longest: int = 40) -> str:
     """A name from a log as one printable line that matplotlib shows in a legend."""
     clean = "".join(c if c.isprintable() else " " for c in name)
     short = clean if len(clean) <= longest else clean[: longest - 1] + "…"
     return f" {short}" if short.startswith("_") else short
 
 
-def colour(name: str, index: int) -> str:
+def line_colour(name: str, index: int) -> str:
     """The colour of a track by its name, of any other line by its index."""
     return MEASURED[name].plot if name in MEASURED else LINES[index % len(LINES)]
 
 
-def _known(out: Path) -> None:
+def _require_known_format(out: Path) -> None:
     if out.suffix.lower() not in FORMATS:
         better = " or ".join(str(out.with_suffix(suffix)) for suffix in FORMATS)
         raise UsageError(f"{out}: '{out.suffix}' is not a format for figures; type: {better}")
 
 
-def _matplotlib() -> Any:
+def _import_matplotlib() -> Any:
     try:
         import matplotlib
         import matplotlib.backends.backend_agg
@@ -85,7 +85,7 @@ def _matplotlib() -> Any:
     return matplotlib
 
 
-def _save(drawing: Any, path: Path, suffix: str) -> None:
+def _save_figure(drawing: Any, path: Path, suffix: str) -> None:
     import warnings
 
     with warnings.catch_warnings():

@@ -10,10 +10,10 @@ import numpy as np
 from ...body_model import BodyModel, ForwardModel
 from ...errors import LogError, ModelError
 from ...types import Array, Estimate, Features, Recording, Series
-from .canvas import INK, figure, label
-from .panels import belief, deviation, errors, events, free_energy, pixels, seen_tracks, signals, skin, trajectories
+from .canvas import INK, open_figure, printable_label
+from .panels import draw_belief, draw_deviation, draw_errors, draw_events, draw_free_energy, draw_pixels, seen_tracks, draw_signals, draw_skin, draw_trajectories
 from .reprojection import TRACKS as SHEETS
-from .reprojection import Sheet, Zero, offsets, plane, residuals
+from .reprojection import ReprojectionSheet, JointZero, draw_zero_offsets, draw_image_plane, draw_residuals
 
 Panel = Callable[[Any], None]
 
@@ -27,15 +27,15 @@ def recording_figure(recording: Recording, features: Features, out: Path) -> Non
     tracks = seen_tracks(features)
     if not panels:
         raise LogError("no joints, tracks, skin or events to draw; type: bodylog info LOG")
-    with figure(out, 11.0 if tracks else 8.0, 0.6 + 1.75 * len(panels)) as drawing:
+    with open_figure(out, 11.0 if tracks else 8.0, 0.6 + 1.75 * len(panels)) as drawing:
         grid = drawing.add_gridspec(len(panels), 2 if tracks else 1, width_ratios=(5, 3) if tracks else (1,))
-        drawing.suptitle(label(recording.name, 80), x=0.01, ha="left", weight="bold")
-        _stack(drawing, grid, panels, recording.duration_s)
+        drawing.suptitle(printable_label(recording.name, 80), x=0.01, ha="left", weight="bold")
+        _stack_panels(drawing, grid, panels, recording.duration_s)
         if tracks:
-            trajectories(tracks, features.strokes, drawing.add_subplot(grid[:, 1]))
+            draw_trajectories(tracks, features.strokes, drawing.add_subplot(grid[:, 1]))
 
 
-def body_figure(body: BodyModel, out: Path, sheets: Sequence[Sheet] = (), zeros: Sequence[Zero] = ()) -> None:
+def body_figure(body: BodyModel, out: Path, sheets: Sequence[ReprojectionSheet] = (), zeros: Sequence[JointZero] = ()) -> None:
     """Draw each output's mean and standard deviation over the two joints that moved most, with its samples.
 
     With a URDF, also the reprojection of every track and the joints' zeros.
@@ -45,60 +45,60 @@ def body_figure(body: BodyModel, out: Path, sheets: Sequence[Sheet] = (), zeros:
     rows = [(sense, model, d) for sense, model in body.senses.items() for d in range(len(model.outputs))][:_ROWS]
     if not rows:
         raise ModelError("body model without a sense: nothing to draw; type: bodylog info body.npz")
-    below = _kinematic(sheets, zeros)
-    with figure(out, 9.0, 0.4 + 3.1 * (len(rows) + -(-len(below) // 2))) as drawing:
+    below = _kinematic_panels(sheets, zeros)
+    with open_figure(out, 9.0, 0.4 + 3.1 * (len(rows) + -(-len(below) // 2))) as drawing:
         grid = drawing.add_gridspec(len(rows) + -(-len(below) // 2), 2)
         for k, draw in enumerate(below):
             draw(drawing.add_subplot(grid[len(rows) + k // 2, k % 2]))
         for row, (sense, model, d) in enumerate(rows):
-            _surface(drawing, grid[row, :], body.joints, f"{label(sense)} {label(model.outputs[d])}", model, d)
+            _draw_output_surface(drawing, grid[row, :], body.joints, f"{printable_label(sense)} {printable_label(model.outputs[d])}", model, d)
 
 
-def reprojection_figure(sheets: Sequence[Sheet], zeros: Sequence[Zero], out: Path) -> None:
+def reprojection_figure(sheets: Sequence[ReprojectionSheet], zeros: Sequence[JointZero], out: Path) -> None:
     """Draw each track's residuals in the image plane, of kinematics alone and with the process, and the zeros."""
-    panels = _kinematic(sheets, zeros)
-    with figure(out, 9.0, 0.4 + 3.6 * -(-len(panels) // 2)) as drawing:
+    panels = _kinematic_panels(sheets, zeros)
+    with open_figure(out, 9.0, 0.4 + 3.6 * -(-len(panels) // 2)) as drawing:
         grid = drawing.add_gridspec(-(-len(panels) // 2), 2)
         for k, draw in enumerate(panels):
             draw(drawing.add_subplot(grid[k // 2, k % 2]))
 
 
-def _kinematic(sheets: Sequence[Sheet], zeros: Sequence[Zero]) -> list[Panel]:
+def _kinematic_panels(sheets: Sequence[ReprojectionSheet], zeros: Sequence[JointZero]) -> list[Panel]:
     """Two panels for every track, and one for the zeros where there are any."""
-    panels = [partial(draw, sheet) for sheet in sheets[:SHEETS] for draw in (plane, residuals)]
-    return [*panels, *([partial(offsets, zeros)] if zeros else [])]
+    panels = [partial(draw, sheet) for sheet in sheets[:SHEETS] for draw in (draw_image_plane, draw_residuals)]
+    return [*panels, *([partial(draw_zero_offsets, zeros)] if zeros else [])]
 
 
 def estimate_figure(estimate: Estimate, truth: Series | None, recorded: Series | None, out: Path) -> None:
     """Draw each joint's belief with its 2-sigma band, truth and encoder, its error; sense errors; free energy."""
     names = estimate.joints.names[:_ROWS]
-    panels: list[Panel] = [partial(belief, estimate, m, truth, recorded) for m in range(len(names))]
-    panels += [partial(errors, sense, residuals) for sense, residuals in estimate.errors.items() if len(residuals.t)]
-    panels.append(partial(free_energy, estimate))
+    panels: list[Panel] = [partial(draw_belief, estimate, m, truth, recorded) for m in range(len(names))]
+    panels += [partial(draw_errors, sense, residuals) for sense, residuals in estimate.errors.items() if len(residuals.t)]
+    panels.append(partial(draw_free_energy, estimate))
     real = truth if truth is not None and set(names) & set(truth.names) else None
-    with figure(out, 13.0 if real else 9.0, 0.6 + 1.75 * len(panels)) as drawing:
+    with open_figure(out, 13.0 if real else 9.0, 0.6 + 1.75 * len(panels)) as drawing:
         grid = drawing.add_gridspec(len(panels), 2 if real else 1)
-        axes = _stack(drawing, grid, panels, None, aside=len(names))
-        drawing.suptitle(f"{label(estimate.method)}: belief with its 2σ band", x=0.01, ha="left", weight="bold")
+        axes = _stack_panels(drawing, grid, panels, None, aside=len(names))
+        drawing.suptitle(f"{printable_label(estimate.method)}: belief with its 2σ band", x=0.01, ha="left", weight="bold")
         for m, name in enumerate(names):
             if real and name in real.names:
-                deviation(estimate, m, real, recorded, drawing.add_subplot(grid[m, 1], sharex=axes[0]))
+                draw_deviation(estimate, m, real, recorded, drawing.add_subplot(grid[m, 1], sharex=axes[0]))
 
 
 def _recording_panels(recording: Recording, features: Features) -> list[Panel]:
     panels: list[Panel] = []
     if recording.joints is not None and len(recording.joints.t):
-        panels.append(partial(signals, recording.joints, "joints, rad"))
+        panels.append(partial(draw_signals, recording.joints, "joints, rad"))
     if seen_tracks(features):
-        panels.append(partial(pixels, features))
+        panels.append(partial(draw_pixels, features))
     if recording.skin is not None and len(recording.skin.t):
-        panels.append(partial(skin, recording.skin))
+        panels.append(partial(draw_skin, recording.skin))
     if features.touches or features.strokes:
-        panels.append(partial(events, features))
+        panels.append(partial(draw_events, features))
     return panels
 
 
-def _stack(drawing: Any, grid: Any, panels: list[Panel], duration: float | None, aside: int | None = None) -> list[Any]:
+def _stack_panels(drawing: Any, grid: Any, panels: list[Panel], duration: float | None, aside: int | None = None) -> list[Any]:
     """One panel below the other on one time axis in s; the first `aside` (None: all) leave the right column free."""
     axes: list[Any] = []
     for row, draw in enumerate(panels):
@@ -113,9 +113,9 @@ def _stack(drawing: Any, grid: Any, panels: list[Panel], duration: float | None,
     return axes
 
 
-def _surface(drawing: Any, row: Any, joints: tuple[str, ...], title: str, model: ForwardModel, d: int) -> None:
+def _draw_output_surface(drawing: Any, row: Any, joints: tuple[str, ...], title: str, model: ForwardModel, d: int) -> None:
     samples = getattr(model, "samples", None)
-    first, second, x = _lattice(samples, len(joints))
+    first, second, x = _posture_lattice(samples, len(joints))
     means, _, variances = zip(*(model.predict(line) for line in x), strict=True)  # by line, to bound the memory
     drawn = {"mean": np.stack(means)[..., d], "standard deviation": np.sqrt(np.stack(variances)[..., d])}
     for cell, (what, values), cmap in zip(row.subgridspec(1, 2), drawn.items(), ("viridis", "magma"), strict=True):
@@ -125,10 +125,10 @@ def _surface(drawing: Any, row: Any, joints: tuple[str, ...], title: str, model:
         drawing.colorbar(filled, ax=ax, pad=0.01)
         if samples is not None:
             ax.plot(samples[:, first], samples[:, second], ".", color="white", mec=INK, mew=0.4, ms=4)
-        ax.set(title=f"{title}: {what}", xlabel=f"{label(joints[first])}, rad", ylabel=f"{label(joints[second])}, rad")
+        ax.set(title=f"{title}: {what}", xlabel=f"{printable_label(joints[first])}, rad", ylabel=f"{printable_label(joints[second])}, rad")
 
 
-def _lattice(samples: Array | None, joints: int) -> tuple[int, int, Array]:
+def _posture_lattice(samples: Array | None, joints: int) -> tuple[int, int, Array]:
     """The two joints that moved most, and x (G,G,M) over them with the others at their median; ±π without samples."""
     if samples is None or not len(samples):
         low, high, middle = np.full(joints, -np.pi), np.full(joints, np.pi), np.zeros(joints)

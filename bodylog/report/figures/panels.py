@@ -6,8 +6,8 @@ import numpy as np
 
 from ...overlay_style import BELIEF, TRUTH
 from ...types import Array, Estimate, Features, Series, Stroke
-from ..page.decimate import envelope, extremes, thin
-from .canvas import FELT, INK, LINES, SEEN, colour, label
+from ..page.decimate import thin_band, extreme_indices, thin_curve
+from .canvas import FELT, INK, LINES, SEEN, line_colour, printable_label
 
 _POINTS = 3000
 _COLUMNS = 1200
@@ -19,32 +19,32 @@ def seen_tracks(features: Features) -> dict[str, Series]:
     return {name: track for name, track in features.tracks.items() if np.isfinite(track.values).all(axis=1).any()}
 
 
-def signals(series: Series, unit: str, ax: Any) -> None:
+def draw_signals(series: Series, unit: str, ax: Any) -> None:
     """Every column of a signal as a line."""
     for d, name in enumerate(series.names):
-        ax.plot(*thin(series.t, series.values[:, d], _POINTS), color=LINES[d % len(LINES)], label=label(name))
+        ax.plot(*thin_curve(series.t, series.values[:, d], _POINTS), color=LINES[d % len(LINES)], label=printable_label(name))
     ax.set_ylabel(unit)
-    _legend(ax)
+    _draw_axes_legend(ax)
 
 
-def pixels(features: Features, ax: Any) -> None:
+def draw_pixels(features: Features, ax: Any) -> None:
     """u (solid) and v (dashed) of every track, on the spans of the strokes."""
     for i, (name, track) in enumerate(seen_tracks(features).items()):
         for d, style in enumerate(("-", "--")):
-            line = thin(track.t, track.values[:, d], _POINTS)
-            ax.plot(*line, style, color=colour(name, i), label=f"{label(name)} {'uv'[d]}")
+            line = thin_curve(track.t, track.values[:, d], _POINTS)
+            ax.plot(*line, style, color=line_colour(name, i), label=f"{printable_label(name)} {'uv'[d]}")
     spans = [(x.start, x.end - x.start) for x in features.strokes]
     ax.broken_barh(spans, (0, 1), transform=ax.get_xaxis_transform(), color=SEEN, alpha=0.10, lw=0)
     ax.set_ylabel("pixels")
-    _legend(ax)
+    _draw_axes_legend(ax)
 
 
-def skin(skin: Series, ax: Any) -> None:
+def draw_skin(skin: Series, ax: Any) -> None:
     """Every cell's reading: lines of a few cells, a heat map of many."""
     cells = skin.values.shape[1]
     if cells < 5:
-        return signals(skin, "skin, 0..1", ax)
-    edges, highest = _peaks(skin)
+        return draw_signals(skin, "skin, 0..1", ax)
+    edges, highest = _bin_peaks(skin)
     shown = np.where(np.isnan(highest.T), np.nan, np.clip(highest.T, 0, 1))  # clipping a signalling NaN warns
     image = ax.pcolormesh(edges, np.arange(cells + 1) - 0.5, shown, cmap="magma_r", vmin=0, vmax=1, rasterized=True)
     ax.figure.colorbar(image, ax=ax, pad=0.01, label="proximity")
@@ -52,14 +52,14 @@ def skin(skin: Series, ax: Any) -> None:
     ax.grid(False)
 
 
-def _peaks(skin: Series) -> tuple[Array, Array]:
+def _bin_peaks(skin: Series) -> tuple[Array, Array]:
     """Edges (B+1,) s and the highest reading of every cell in each bin (B,cells): no touch is lost to thinning."""
     starts = np.unique(np.linspace(0, len(skin.t), min(_COLUMNS, len(skin.t)), endpoint=False).astype(int))
     edges = np.append(skin.t[starts], skin.t[-1])
     return np.maximum.accumulate(edges), np.fmax.reduceat(skin.values, starts, axis=0)
 
 
-def events(features: Features, ax: Any) -> None:
+def draw_events(features: Features, ax: Any) -> None:
     """Touches felt below strokes seen, pairs joined and weighed."""
     from matplotlib.collections import LineCollection
 
@@ -77,14 +77,14 @@ def events(features: Features, ax: Any) -> None:
     ax.set_ylabel("touch")
 
 
-def trajectories(tracks: dict[str, Series], strokes: tuple[Stroke, ...], ax: Any) -> None:
+def draw_trajectories(tracks: dict[str, Series], strokes: tuple[Stroke, ...], ax: Any) -> None:
     """Tracks in the image plane, v down, with the starts and ends of tracks and strokes."""
     for i, (name, track) in enumerate(tracks.items()):
         seen = track.values[np.isfinite(track.values).all(axis=1)]
-        keep = np.union1d(extremes(track.values[:, 0], _POINTS), extremes(track.values[:, 1], _POINTS))
-        ax.plot(*track.values[keep].T, color=colour(name, i), alpha=0.7, label=label(name))
-        ax.plot(*seen[0], "o", color=colour(name, i), mec=INK, ms=7, label="_")
-        ax.plot(*seen[-1], "s", color=colour(name, i), mec=INK, ms=7, label="_")
+        keep = np.union1d(extreme_indices(track.values[:, 0], _POINTS), extreme_indices(track.values[:, 1], _POINTS))
+        ax.plot(*track.values[keep].T, color=line_colour(name, i), alpha=0.7, label=printable_label(name))
+        ax.plot(*seen[0], "o", color=line_colour(name, i), mec=INK, ms=7, label="_")
+        ax.plot(*seen[-1], "s", color=line_colour(name, i), mec=INK, ms=7, label="_")
     if strokes:
         start, end = np.array([x.start_px for x in strokes]), np.array([x.end_px for x in strokes])
         ax.quiver(*start.T, *(end - start).T, angles="xy", scale_units="xy", scale=1, width=0.008, color=SEEN, zorder=3)
@@ -92,62 +92,62 @@ def trajectories(tracks: dict[str, Series], strokes: tuple[Stroke, ...], ax: Any
     ax.invert_yaxis()
     for mark, what in (("o", "start"), ("s", "end")):
         ax.plot([], [], mark, color="white", mec=INK, label=what)
-    _legend(ax, room=34)
+    _draw_axes_legend(ax, room=34)
 
 
-def belief(estimate: Estimate, m: int, truth: Series | None, recorded: Series | None, ax: Any) -> None:
+def draw_belief(estimate: Estimate, m: int, truth: Series | None, recorded: Series | None, ax: Any) -> None:
     """One joint: belief, 2-sigma band, encoder, truth, faults."""
     name, t, mean = estimate.joints.names[m], estimate.joints.t, estimate.joints.values[:, m]
     spread = 2.0 * np.sqrt(estimate.cov[:, m, m])
-    _other(ax, recorded, name, {"color": "#b8bec6", "lw": 0.7}, "encoder")
-    ax.fill_between(*envelope(t, mean - spread, mean + spread, _POINTS), color=BELIEF.plot, alpha=0.25, lw=0, zorder=2)
-    ax.plot(*thin(t, mean, _POINTS), color=BELIEF.plot, label="belief")
-    _other(ax, truth, name, {"color": TRUTH.plot, "lw": 0.9, "ls": "--"}, "truth")
+    _draw_other_series(ax, recorded, name, {"color": "#b8bec6", "lw": 0.7}, "encoder")
+    ax.fill_between(*thin_band(t, mean - spread, mean + spread, _POINTS), color=BELIEF.plot, alpha=0.25, lw=0, zorder=2)
+    ax.plot(*thin_curve(t, mean, _POINTS), color=BELIEF.plot, label="belief")
+    _draw_other_series(ax, truth, name, {"color": TRUTH.plot, "lw": 0.9, "ls": "--"}, "truth")
     for fault in estimate.faults:
         if fault.name == name:
-            ax.axvline(fault.since, color=LINES[1], ls=":", label=label(f"{fault.kind} since {fault.since:.1f} s"))
-    ax.set_ylabel(f"{label(name, 22)}, rad")
-    _legend(ax)
+            ax.axvline(fault.since, color=LINES[1], ls=":", label=printable_label(f"{fault.kind} since {fault.since:.1f} s"))
+    ax.set_ylabel(f"{printable_label(name, 22)}, rad")
+    _draw_axes_legend(ax)
 
 
-def deviation(estimate: Estimate, m: int, truth: Series, recorded: Series | None, ax: Any) -> None:
+def draw_deviation(estimate: Estimate, m: int, truth: Series, recorded: Series | None, ax: Any) -> None:
     """Belief and encoder minus truth, mrad, on the 2-sigma band of the belief."""
     name, t = estimate.joints.names[m], estimate.joints.t
     real = truth.values[:, truth.names.index(name)]
     spread = 2e3 * np.sqrt(estimate.cov[:, m, m])
     if recorded is not None and name in recorded.names:
         off = 1e3 * (recorded.values[:, recorded.names.index(name)] - np.interp(recorded.t, truth.t, real))
-        ax.plot(*thin(recorded.t, off, _POINTS), color="#c9ced5", lw=0.7, label="encoder")
-    ax.fill_between(*envelope(t, -spread, spread, _POINTS), color=BELIEF.plot, alpha=0.25, lw=0, zorder=2)
+        ax.plot(*thin_curve(recorded.t, off, _POINTS), color="#c9ced5", lw=0.7, label="encoder")
+    ax.fill_between(*thin_band(t, -spread, spread, _POINTS), color=BELIEF.plot, alpha=0.25, lw=0, zorder=2)
     off = 1e3 * (estimate.joints.values[:, m] - np.interp(t, truth.t, real))
-    ax.plot(*thin(t, off, _POINTS), color=BELIEF.plot, label="belief")
+    ax.plot(*thin_curve(t, off, _POINTS), color=BELIEF.plot, label="belief")
     ax.set_ylabel("off truth, mrad")
     ax.tick_params(labelbottom=False)
-    _legend(ax)
+    _draw_axes_legend(ax)
 
 
-def _other(ax: Any, series: Series | None, name: str, style: dict[str, Any], what: str) -> None:
+def _draw_other_series(ax: Any, series: Series | None, name: str, style: dict[str, Any], what: str) -> None:
     if series is not None and name in series.names:
-        ax.plot(*thin(series.t, series.values[:, series.names.index(name)], _POINTS), label=what, **style)
+        ax.plot(*thin_curve(series.t, series.values[:, series.names.index(name)], _POINTS), label=what, **style)
 
 
-def errors(sense: str, errors: Series, ax: Any) -> None:
+def draw_errors(sense: str, errors: Series, ax: Any) -> None:
     """One sense's prediction errors in standard deviations."""
     ax.axhspan(-2, 2, color="#eef1f4", lw=0)
     for d, name in enumerate(errors.names):
-        line = thin(errors.t, errors.values[:, d], _POINTS)
-        ax.plot(*line, ".", ms=2, color=LINES[d % len(LINES)], label=label(name))
-    ax.set_ylabel(f"{label(sense, 22)} error, σ")
-    _legend(ax)
+        line = thin_curve(errors.t, errors.values[:, d], _POINTS)
+        ax.plot(*line, ".", ms=2, color=LINES[d % len(LINES)], label=printable_label(name))
+    ax.set_ylabel(f"{printable_label(sense, 22)} error, σ")
+    _draw_axes_legend(ax)
 
 
-def free_energy(estimate: Estimate, ax: Any) -> None:
+def draw_free_energy(estimate: Estimate, ax: Any) -> None:
     """Free energy over time."""
-    ax.plot(*thin(estimate.joints.t, estimate.free_energy, _POINTS), color=INK)
+    ax.plot(*thin_curve(estimate.joints.t, estimate.free_energy, _POINTS), color=INK)
     ax.set_ylabel("free energy, nats")
 
 
-def _legend(ax: Any, room: int = 75) -> None:
+def _draw_axes_legend(ax: Any, room: int = 75) -> None:
     """The names above the axes, as many in a row as there is room for."""
     handles, names = ax.get_legend_handles_labels()
     if handles:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ...overlay_style import PREDICTED, measured
+from ...overlay_style import PREDICTED, measurement_ink
 from ...types import Array, Estimate, Features
-from ..page.tables import escaped, table
-from .canvas import LINES, label
+from ..page.tables import escape_text, html_table
+from .canvas import LINES, printable_label
 
 TRACKS, POINTS = 12, 300
 """Most tracks that are drawn, and points of each."""
@@ -22,7 +22,7 @@ _LONG = 0.06
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
+class ReprojectionSheet:
     """One track: measured, expected by kinematics alone and with the process, each (N,2) px."""
 
     name: str
@@ -30,15 +30,15 @@ class Sheet:
     kinematics: Array
     both: Array
 
-    def some(self) -> "Sheet":
+    def some(self) -> "ReprojectionSheet":
         """At most POINTS of it, evenly spaced."""
         rows = np.unique(np.linspace(0, len(self.measured) - 1, min(len(self.measured), POINTS)).round().astype(int))
-        return Sheet(self.name, self.measured[rows], self.kinematics[rows], self.both[rows])
+        return ReprojectionSheet(self.name, self.measured[rows], self.kinematics[rows], self.both[rows])
 
     @property
     def errors(self) -> tuple[float, float]:
         """RMS residual (px) of kinematics alone, and with the process."""
-        return _rms(self.measured - self.kinematics), _rms(self.measured - self.both)
+        return _rms_length(self.measured - self.kinematics), _rms_length(self.measured - self.both)
 
     @property
     def magnified(self) -> float:
@@ -51,7 +51,7 @@ class Sheet:
 
 
 @dataclass(frozen=True)
-class Zero:
+class JointZero:
     """One joint's zero: value ± std in `unit` (rad or m); value is None where it is not identifiable, and why."""
 
     joint: str
@@ -72,7 +72,7 @@ class Zero:
         )
 
 
-def sheets(features: Features, estimate: Estimate) -> tuple[Sheet, ...]:
+def build_sheets(features: Features, estimate: Estimate) -> tuple[ReprojectionSheet, ...]:
     """For every track that kinematics predicts: measurements and predictions."""
     found = []
     for name, alone in estimate.kinematic.items():
@@ -84,47 +84,47 @@ def sheets(features: Features, estimate: Estimate) -> tuple[Sheet, ...]:
         sound = (np.abs(track.t[rows] - alone.t) < 1e-6) & np.isfinite(measured).all(axis=1)
         sound &= np.isfinite(alone.values).all(axis=1) & np.isfinite(both.values).all(axis=1)
         if sound.any():
-            found.append(Sheet(name, measured[sound], alone.values[sound], both.values[sound]))
+            found.append(ReprojectionSheet(name, measured[sound], alone.values[sound], both.values[sound]))
     return tuple(found)
 
 
-def zeros(entries: Any) -> tuple[Zero, ...]:
+def parse_zeros(entries: Any) -> tuple[JointZero, ...]:
     """The zeros in a file's mapping {joint: {value, std, unit, confused_with}}; invalid entries are left out."""
     found = []
     for joint, one in list(entries.items())[:_ZEROS] if isinstance(entries, Mapping) else ():
         value, std = (one.get("value"), one.get("std")) if isinstance(one, Mapping) else (None, None)
-        if isinstance(std, int | float) and isfinite(std) and (value is None or _number(value)):
+        if isinstance(std, int | float) and isfinite(std) and (value is None or _is_finite_number(value)):
             others = one.get("confused_with")
             names = tuple(str(name) for name in others[:4]) if isinstance(others, list) else ()
             known = None if value is None else float(value)
-            found.append(Zero(str(joint), known, float(std), "m" if one.get("unit") == "m" else "rad", names))
+            found.append(JointZero(str(joint), known, float(std), "m" if one.get("unit") == "m" else "rad", names))
     return tuple(found)
 
 
-def section(drawn: Sequence[Sheet], offsets: Sequence[Zero]) -> str:
+def render_section(drawn: Sequence[ReprojectionSheet], offsets: Sequence[JointZero]) -> str:
     """The sheets as part of a page, every name escaped; "" where there is nothing to show."""
-    body = "\n".join(_figure(sheet.some()) for sheet in drawn[:TRACKS])
+    body = "\n".join(_render_sheet_figure(sheet.some()) for sheet in drawn[:TRACKS])
     left = f'<p class="soft">Drawn: the first {TRACKS} of {len(drawn)} tracks.</p>' if len(drawn) > TRACKS else ""
     key = "dot: measured · violet: by kinematics alone · yellow: with the process; lines lead from measured to expected"
     shown = f'<h2>Reprojection</h2>\n<p class="soft">{key}</p>\n<div>\n{body}\n</div>{left}'
     rows = [(zero.joint, *zero.shown) for zero in offsets]
-    listed = table("Zeros of the joints", ("joint", "offset", ""), rows)
+    listed = html_table("Zeros of the joints", ("joint", "offset", ""), rows)
     return "\n".join(part for part in (shown if drawn else "", listed) if part)
 
 
-def _figure(sheet: Sheet) -> str:
+def _render_sheet_figure(sheet: ReprojectionSheet) -> str:
     alone, both = sheet.errors
     times = sheet.magnified
     text = f"{sheet.name}: {alone:.2f} px by kinematics alone, {both:.2f} px with the process (RMS); lines {times:g} ×"
     width = _WIDTH + _SIDE + 10
     return (
         f'<figure><svg viewBox="0 0 {width:g} {_HEIGHT:g}" width="{width:g}" role="img">'
-        f"<title>{escaped(text)}</title>{''.join(_plane(sheet, times))}{''.join(_residuals(sheet))}</svg>"
-        f"<figcaption>{escaped(text)}</figcaption></figure>"
+        f"<title>{escape_text(text)}</title>{''.join(_render_image_plane(sheet, times))}{''.join(_render_residuals(sheet))}</svg>"
+        f"<figcaption>{escape_text(text)}</figcaption></figure>"
     )
 
 
-def _plane(sheet: Sheet, times: float) -> Iterator[str]:
+def _render_image_plane(sheet: ReprojectionSheet, times: float) -> Iterator[str]:
     """The image plane with magnified residuals."""
     low, span = sheet.measured.min(axis=0), np.maximum(np.ptp(sheet.measured, axis=0), 1.0)
     scale = float(0.84 * min(_WIDTH / span[0], _HEIGHT / span[1]))
@@ -133,15 +133,15 @@ def _plane(sheet: Sheet, times: float) -> Iterator[str]:
     yield f'<rect width="{_WIDTH:g}" height="{_HEIGHT:g}" fill="none" stroke="{_RULE}" stroke-opacity="0.4"/>'
     for expected, ink in ((sheet.kinematics, _ALONE), (sheet.both, _BOTH)):
         ends = places + times * scale * (expected - sheet.measured)
-        lines = "".join(f"M{_xy(a)}L{_xy(b)}" for a, b in zip(places, ends, strict=True))
+        lines = "".join(f"M{_svg_point(a)}L{_svg_point(b)}" for a, b in zip(places, ends, strict=True))
         yield f'<path d="{lines}" stroke="{ink}" fill="none"/>'
-    ink = measured(sheet.name).plot
+    ink = measurement_ink(sheet.name).plot
     yield from (f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.6" fill="{ink}"/>' for x, y in places)
 
 
-def _residuals(sheet: Sheet) -> Iterator[str]:
+def _render_residuals(sheet: ReprojectionSheet) -> Iterator[str]:
     """Residuals around zero, px, with a ring at a round distance."""
-    left, reach = [sheet.kinematics - sheet.measured, sheet.both - sheet.measured], _reach(sheet)
+    left, reach = [sheet.kinematics - sheet.measured, sheet.both - sheet.measured], _residual_reach_px(sheet)
     scale, centre = 0.45 * _SIDE / reach, np.array([_WIDTH + 10 + _SIDE / 2, _HEIGHT / 2])
     ring = 10.0 ** np.floor(np.log10(reach))
     x, y = centre
@@ -153,37 +153,37 @@ def _residuals(sheet: Sheet) -> Iterator[str]:
         yield from (f'<circle cx="{u:.1f}" cy="{v:.1f}" r="1.8" fill="{ink}" fill-opacity="0.6"/>' for u, v in dots)
 
 
-def _xy(place: Array) -> str:
+def _svg_point(place: Array) -> str:
     return f"{place[0]:.1f} {place[1]:.1f}"
 
 
-def plane(sheet: Sheet, ax: Any) -> None:
+def draw_image_plane(sheet: ReprojectionSheet, ax: Any) -> None:
     """The image plane of one track with magnified residuals, in a figure."""
     some, times = sheet.some(), sheet.magnified
     for expected, ink, what in ((some.kinematics, _ALONE, "kinematics"), (some.both, _BOTH, "with process")):
         off = times * (expected - some.measured)
         arrows = {"angles": "xy", "scale_units": "xy", "scale": 1, "headwidth": 1, "headlength": 0, "width": 0.003}
         ax.quiver(*some.measured.T, *off.T, color=ink, label=what, **arrows)
-    ax.plot(*some.measured.T, ".", color=measured(sheet.name).plot, ms=2, label="measured")
-    ax.set(aspect="equal", title=f"{label(sheet.name)}: residuals {times:g} ×", xlabel="u, pixels", ylabel="v, pixels")
+    ax.plot(*some.measured.T, ".", color=measurement_ink(sheet.name).plot, ms=2, label="measured")
+    ax.set(aspect="equal", title=f"{printable_label(sheet.name)}: residuals {times:g} ×", xlabel="u, pixels", ylabel="v, pixels")
     ax.invert_yaxis()
     ax.legend(loc="best")
 
 
-def residuals(sheet: Sheet, ax: Any) -> None:
+def draw_residuals(sheet: ReprojectionSheet, ax: Any) -> None:
     """The residuals of one track, px, in a figure."""
     alone, both = sheet.errors
     for expected, ink, what in (
         (sheet.kinematics, _ALONE, f"kinematics: {alone:.2f} px RMS"), (sheet.both, _BOTH, f"with process: {both:.2f}"),
     ):  # fmt: skip
         ax.plot(*(expected - sheet.measured).T, ".", color=ink, ms=3, alpha=0.6, label=what)
-    reach = _reach(sheet)
+    reach = _residual_reach_px(sheet)
     ax.set(aspect="equal", title="expected minus measured", xlabel="u, pixels", ylabel="v, pixels")
     ax.set(xlim=(-reach, reach), ylim=(reach, -reach))
     ax.legend(loc="best")
 
 
-def offsets(found: Sequence[Zero], ax: Any) -> None:
+def draw_zero_offsets(found: Sequence[JointZero], ax: Any) -> None:
     """Each joint's zero with its standard deviation, in a figure; the name alone where it is not identifiable."""
     for row, zero in enumerate(found):
         factor = degrees(1.0) if zero.unit == "rad" else 1e3
@@ -192,20 +192,20 @@ def offsets(found: Sequence[Zero], ax: Any) -> None:
         else:
             ax.errorbar(factor * zero.value, row, xerr=factor * zero.std, fmt="o", color=LINES[0], capsize=3)
     ax.axvline(0.0, color=_RULE, lw=0.8)
-    ax.set_yticks(range(len(found)), [label(zero.joint, 22) for zero in found])
+    ax.set_yticks(range(len(found)), [printable_label(zero.joint, 22) for zero in found])
     ax.set_ylim(len(found) - 0.5, -0.5)
     ax.set(title="zeros of the joints ± σ", xlabel="offset, degrees (mm of joints that slide)")
 
 
-def _number(value: Any) -> bool:
+def _is_finite_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
 
 
-def _reach(sheet: Sheet) -> float:
+def _residual_reach_px(sheet: ReprojectionSheet) -> float:
     """px around zero that hold nearly all residuals; the first of a log are far off."""
     left = np.concatenate([sheet.kinematics - sheet.measured, sheet.both - sheet.measured])
     return max(1.1 * float(np.quantile(np.linalg.norm(left, axis=1), 0.98)), 1e-3)
 
 
-def _rms(left: Array) -> float:
+def _rms_length(left: Array) -> float:
     return float(np.sqrt(np.square(left).sum(axis=1).mean()))

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from ...types import Array, Estimate, Features
-from .decimate import envelope, extremes
-from .traces import EVENTS, Panel, Trace
+from .decimate import thin_band, extreme_indices
+from .traces import EVENTS, Panel, PlotTrace
 
-BUDGET = 130_000
+POINT_BUDGET = 130_000
 """Points kept on a whole page; each costs 11 characters, of a band 16."""
 
 _MOST, _LEAST = 4000, 60
@@ -21,16 +21,16 @@ _DANGEROUS = str.maketrans({"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"})
 
 def most_points(panels: Sequence[Panel]) -> int:
     """How many points each trace may keep so that the page stays within its budget."""
-    return min(_MOST, max(_LEAST, BUDGET // max(1, sum(len(panel.traces) for panel in panels))))
+    return min(_MOST, max(_LEAST, POINT_BUDGET // max(1, sum(len(panel.traces) for panel in panels))))
 
 
-def plain(panels: Sequence[Panel], marks: Sequence[dict[str, Any]], duration: float) -> dict[str, Any]:
+def panels_as_json(panels: Sequence[Panel], marks: Sequence[dict[str, Any]], duration: float) -> dict[str, Any]:
     """{span (2,) s · marks over every panel · panels} with every number finite."""
-    span, points = _span(duration, panels), most_points(panels)
-    return {"span": span, "marks": list(marks), "panels": [_panel(panel, span, points) for panel in panels]}
+    span, points = _time_span(duration, panels), most_points(panels)
+    return {"span": span, "marks": list(marks), "panels": [_panel_as_json(panel, span, points) for panel in panels]}
 
 
-def marks(features: Features, estimate: Estimate) -> list[dict[str, Any]]:
+def background_marks(features: Features, estimate: Estimate) -> list[dict[str, Any]]:
     """Marks in the background of every panel: touches, strokes, and the start of each fault."""
     felt = [(x.onset, x.offset, "felt") for x in (features.touches or ())[:EVENTS]]
     seen = [(x.start, x.end, "seen") for x in features.strokes[:EVENTS]]
@@ -39,41 +39,41 @@ def marks(features: Features, estimate: Estimate) -> list[dict[str, Any]]:
     return [{"from": round(a, 4), "to": round(b, 4), "ink": ink} for a, b, ink in finite]
 
 
-def embedded(values: Any) -> str:
+def embed_json(values: Any) -> str:
     """JSON without characters that HTML treats as tags, entities or line ends; deterministic."""
     text = json.dumps(values, ensure_ascii=True, allow_nan=False, sort_keys=True, separators=(",", ":"))
     return text.translate(_DANGEROUS)
 
 
-def _span(duration: float, panels: Sequence[Panel]) -> list[float]:
+def _time_span(duration: float, panels: Sequence[Panel]) -> list[float]:
     ends = [trace.t[[0, -1]] for panel in panels for trace in panel.traces if len(trace.t)]
     low = min([0.0, *(float(pair[0]) for pair in ends)])
     high = max([duration, *(float(pair[1]) for pair in ends)])
     return [low, high if high > low else low + 1.0]
 
 
-def _panel(panel: Panel, span: list[float], points: int) -> dict[str, Any]:
+def _panel_as_json(panel: Panel, span: list[float], points: int) -> dict[str, Any]:
     rows = [{"name": x.name, "ink": x.ink, "spans": [[round(t, 4) for t in s] for s in x.spans]} for x in panel.rows]
-    traces = [_trace(trace, span, points) for trace in panel.traces if len(trace.t)]
+    traces = [_trace_as_json(trace, span, points) for trace in panel.traces if len(trace.t)]
     look = {"half": panel.half, "limits": panel.limits, "floor": panel.floor, "shade": panel.shade}
     return look | {"title": panel.title, "rows": rows, "traces": traces}
 
 
-def _trace(trace: Trace, span: list[float], points: int) -> dict[str, Any]:
+def _trace_as_json(trace: PlotTrace, span: list[float], points: int) -> dict[str, Any]:
     """The thinned trace: t as uint32 shares of the span and y as float32, both little endian."""
     look = {"name": trace.name, "ink": trace.ink, "kind": trace.kind}
     if trace.high is not None:
-        t, low, high = envelope(trace.t, trace.y, trace.high, points)
-        return look | {"t": _ticks(t, span), "y": _floats(low), "high": _floats(high)}
-    keep = extremes(trace.y, points)
-    return look | {"t": _ticks(trace.t[keep], span), "y": _floats(trace.y[keep])}
+        t, low, high = thin_band(trace.t, trace.y, trace.high, points)
+        return look | {"t": _encode_times(t, span), "y": _encode_floats(low), "high": _encode_floats(high)}
+    keep = extreme_indices(trace.y, points)
+    return look | {"t": _encode_times(trace.t[keep], span), "y": _encode_floats(trace.y[keep])}
 
 
-def _ticks(t: Array, span: list[float]) -> str:
+def _encode_times(t: Array, span: list[float]) -> str:
     share = np.clip((t - span[0]) / (span[1] - span[0]), 0.0, 1.0)
     return base64.b64encode(np.rint(share * _TICKS).astype("<u4").tobytes()).decode()
 
 
-def _floats(y: Array) -> str:
+def _encode_floats(y: Array) -> str:
     drawable = np.abs(y) < float(np.finfo(np.float32).max)  # values beyond float32 become gaps
     return base64.b64encode(np.where(drawable, y, np.nan).astype("<f4").tobytes()).decode()

@@ -5,10 +5,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any
 
-from .tables import escaped, table
-from .template import document
+from .tables import escape_text, html_table
+from .template import render_document
 
-WORST = 6
+MAX_WORST_EPISODES = 6
 """Episodes whose pictures are shown."""
 _WIDTH, _HEIGHT = 220, 90
 """Size of a small multiple, px."""
@@ -41,15 +41,15 @@ def dataset_page(
     odd = list(dict.fromkeys(name for name, _ in outliers))
     parts = [
         f"<h1>{len(rows)} episodes</h1>",
-        *(f"<p>{escaped(sentence, 1000)}</p>" for sentence in verdict),
-        table("Episodes that stand out", ("episode", "what"), outliers),
-        _strips(odd or _with_findings(rows), evidence),
-        _cameras(evidence, odd),
-        _joints(evidence, odd),
-        _episodes(rows),
-        table("Findings", ("episode", "severity", "what"), list(_findings(rows))),
+        *(f"<p>{escape_text(sentence, 1000)}</p>" for sentence in verdict),
+        html_table("Episodes that stand out", ("episode", "what"), outliers),
+        _picture_strips(odd or _with_findings(rows), evidence),
+        _camera_section(evidence, odd),
+        _joint_section(evidence, odd),
+        _episode_table(rows),
+        html_table("Findings", ("episode", "severity", "what"), list(_collect_findings(rows))),
     ]
-    return document("bodylog doctor", "\n".join(part for part in parts if part), [])
+    return render_document("bodylog doctor", "\n".join(part for part in parts if part), [])
 
 
 def _with_findings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -60,23 +60,23 @@ def _with_findings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return sorted(counts, key=lambda name: -counts[name])
 
 
-def _strips(names: Sequence[str], evidence: Mapping[str, Mapping[str, Any]]) -> str:
+def _picture_strips(names: Sequence[str], evidence: Mapping[str, Mapping[str, Any]]) -> str:
     """A row of pictures for each camera of the worst episodes."""
     shown = []
-    for name in names[:WORST]:
+    for name in names[:MAX_WORST_EPISODES]:
         for camera, about in evidence.get(name, {}).get("cameras", {}).items():
             pictures = "".join(
                 f'<img alt="" src="data:image/jpeg;base64,{text}">' for text in about["thumbnails"]
             )
             if pictures:
-                caption = escaped(f"{name}, {camera}")
+                caption = escape_text(f"{name}, {camera}")
                 shown.append(
                     f'<figure class="strip">{pictures}<figcaption>{caption}</figcaption></figure>'
                 )
     return "<h2>Pictures of the worst episodes</h2>\n" + "\n".join(shown) if shown else ""
 
 
-def _cameras(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]) -> str:
+def _camera_section(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]) -> str:
     """Delay, repeats and black images of each camera over episodes."""
     parts = []
     kinds = (
@@ -96,7 +96,7 @@ def _cameras(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]) -> s
                 if figure in one["figures"]
             ]
             if points and (kind in ("delay", "rate") or any(value for _, value, _ in points)):
-                parts.append(_dots(f"{figure} [{unit}]", points, list(evidence), odd))
+                parts.append(_dot_multiple(f"{figure} [{unit}]", points, list(evidence), odd))
     return (
         '<h2>Cameras over episodes</h2>\n<div class="multiples">' + "".join(parts) + "</div>"
         if parts
@@ -104,7 +104,7 @@ def _cameras(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]) -> s
     )
 
 
-def _joints(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]) -> str:
+def _joint_section(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]) -> str:
     """Each joint's curve in every episode, over the share of its time; episodes that stand out are
     red."""
     curves: dict[str, list[tuple[str, list[float | None]]]] = {}
@@ -112,7 +112,7 @@ def _joints(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]) -> st
         joints = one["joints"]
         for joint, curve in zip(joints["names"], joints["curves"], strict=True) if joints else ():
             curves.setdefault(joint, []).append((name, curve))
-    parts = [_lines(joint, found, odd) for joint, found in list(curves.items())[:_MOST_JOINTS]]
+    parts = [_curve_multiple(joint, found, odd) for joint, found in list(curves.items())[:_MOST_JOINTS]]
     more = (
         f'<p class="soft">and {len(curves) - _MOST_JOINTS} more joints</p>'
         if len(curves) > _MOST_JOINTS
@@ -126,7 +126,7 @@ def _joints(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]) -> st
     )
 
 
-def _dots(
+def _dot_multiple(
     title: str,
     points: Sequence[tuple[str, float, float | None]],
     names: Sequence[str],
@@ -138,19 +138,19 @@ def _dots(
     marks = []
     for name, value, std in points:
         x = _WIDTH * (names.index(name) + 0.5) / len(names)
-        ink = _ink(name, odd)
-        y = _y(value, low, high)
+        ink = _episode_ink(name, odd)
+        y = _y_position(value, low, high)
         if std:
-            ends = (_y(value - 2.0 * std, low, high), _y(value + 2.0 * std, low, high))
+            ends = (_y_position(value - 2.0 * std, low, high), _y_position(value + 2.0 * std, low, high))
             marks.append(f'<path d="M{x:.1f} {ends[0]:.1f}V{ends[1]:.1f}" stroke="{ink}"/>')
         marks.append(
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.2" fill="{ink}">'
-            f"<title>{escaped(name)}</title></circle>"
+            f"<title>{escape_text(name)}</title></circle>"
         )
-    return _multiple(title, low, high, marks)
+    return _small_multiple(title, low, high, marks)
 
 
-def _lines(title: str, curves: Sequence[tuple[str, list[float | None]]], odd: Sequence[str]) -> str:
+def _curve_multiple(title: str, curves: Sequence[tuple[str, list[float | None]]], odd: Sequence[str]) -> str:
     known = [value for _, curve in curves for value in curve if value is not None]
     if not known:
         return ""
@@ -158,14 +158,14 @@ def _lines(title: str, curves: Sequence[tuple[str, list[float | None]]], odd: Se
     # episodes that stand out are drawn last, above the others
     ordered = sorted(curves, key=lambda pair: pair[0] in odd)
     paths = [
-        f'<path d="{_path(curve, low, high)}" fill="none" stroke="{_ink(name, odd)}" '
-        f'stroke-opacity="{1 if name in odd else 0.5}"><title>{escaped(name)}</title></path>'
+        f'<path d="{_curve_path(curve, low, high)}" fill="none" stroke="{_episode_ink(name, odd)}" '
+        f'stroke-opacity="{1 if name in odd else 0.5}"><title>{escape_text(name)}</title></path>'
         for name, curve in ordered
     ]
-    return _multiple(title, low, high, paths)
+    return _small_multiple(title, low, high, paths)
 
 
-def _path(curve: Sequence[float | None], low: float, high: float) -> str:
+def _curve_path(curve: Sequence[float | None], low: float, high: float) -> str:
     """The points of a curve as an SVG path with gaps."""
     text, drawing = [], False
     for number, value in enumerate(curve):
@@ -173,28 +173,28 @@ def _path(curve: Sequence[float | None], low: float, high: float) -> str:
             drawing = False
             continue
         x = _WIDTH * number / max(len(curve) - 1, 1)
-        text.append(f"{'L' if drawing else 'M'}{x:.1f} {_y(value, low, high):.1f}")
+        text.append(f"{'L' if drawing else 'M'}{x:.1f} {_y_position(value, low, high):.1f}")
         drawing = True
     return "".join(text)
 
 
-def _y(value: float, low: float, high: float) -> float:
+def _y_position(value: float, low: float, high: float) -> float:
     span = high - low
     share = 0.5 if span <= 0.0 else (value - low) / span
     return 4.0 + (_HEIGHT - 8.0) * (1.0 - share)
 
 
-def _ink(name: str, odd: Sequence[str]) -> str:
+def _episode_ink(name: str, odd: Sequence[str]) -> str:
     return "var(--fault)" if name in odd else "var(--c0)"
 
 
-def _multiple(title: str, low: float, high: float, marks: Sequence[str]) -> str:
-    head = _SVG.format(w=_WIDTH, h=_HEIGHT, label=escaped(title))
-    caption = f"{escaped(title)}<br><span>{low:.3g} to {high:.3g}</span>"
+def _small_multiple(title: str, low: float, high: float, marks: Sequence[str]) -> str:
+    head = _SVG.format(w=_WIDTH, h=_HEIGHT, label=escape_text(title))
+    caption = f"{escape_text(title)}<br><span>{low:.3g} to {high:.3g}</span>"
     return f"<figure>{head}{''.join(marks)}</svg><figcaption>{caption}</figcaption></figure>"
 
 
-def _episodes(rows: Sequence[Mapping[str, Any]]) -> str:
+def _episode_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """A row for each episode with the figures of cameras and of the whole."""
     figures = sorted(
         {name for row in rows for name in row["scores"] if name.partition("/")[0] in _FIGURES}
@@ -203,23 +203,23 @@ def _episodes(rows: Sequence[Mapping[str, Any]]) -> str:
         (
             row["name"],
             row["status"],
-            *(_number(row["scores"].get(figure)) for figure in figures),
-            _remark(row),
+            *(_format_figure(row["scores"].get(figure)) for figure in figures),
+            _last_error_line(row),
         )
         for row in rows
     ]
-    return table("Episodes", ("episode", "status", *figures, "remark"), shown)
+    return html_table("Episodes", ("episode", "status", *figures, "remark"), shown)
 
 
-def _number(value: float | None) -> str:
+def _format_figure(value: float | None) -> str:
     return "–" if value is None else f"{value:.3g}"
 
 
-def _remark(row: Mapping[str, Any]) -> str:
+def _last_error_line(row: Mapping[str, Any]) -> str:
     return str((row["error"] or "").strip().splitlines()[-1:][0] if row["error"] else "")
 
 
-def _findings(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str, str]]:
+def _collect_findings(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str, str]]:
     """Losses and warnings of all episodes, then what is worth knowing."""
     for wanted in ("lost", "warning", "info"):
         for row in rows:

@@ -5,18 +5,18 @@ import numpy as np
 from ...types import Array
 
 
-def thin(t: Array, values: Array, points: int) -> tuple[Array, Array]:
+def thin_curve(t: Array, values: Array, points: int) -> tuple[Array, Array]:
     """t, values (n,) with at most about `points` kept: the extremes of each bin, and one NaN where a bin has a gap."""
-    keep = extremes(values, points)
+    keep = extreme_indices(values, points)
     return t[keep], values[keep]
 
 
-def extremes(values: Array, points: int) -> Array:
+def extreme_indices(values: Array, points: int) -> Array:
     """Indices, ascending, of the lowest, highest and first missing value of each of points / 3 bins."""
     n, bins = len(values), max(1, points // 3)
     if n <= points:
         return np.arange(n)
-    blocks, index = _blocks(values, bins)
+    blocks, index = _split_into_bins(values, bins)
     missing = ~np.isfinite(blocks) & (index < n)
     low = np.where(np.isfinite(blocks), blocks, np.inf).argmin(axis=1)
     high = np.where(np.isfinite(blocks), blocks, -np.inf).argmax(axis=1)
@@ -26,7 +26,7 @@ def extremes(values: Array, points: int) -> Array:
     return np.unique(kept[kept < n])
 
 
-def envelope(t: Array, low: Array, high: Array, points: int) -> tuple[Array, Array, Array]:
+def thin_band(t: Array, low: Array, high: Array, points: int) -> tuple[Array, Array, Array]:
     """t, low, high (n,) in at most `points` bins: a band never narrower than the full one."""
     if len(t) <= points:
         return t, low, high
@@ -35,7 +35,7 @@ def envelope(t: Array, low: Array, high: Array, points: int) -> tuple[Array, Arr
     return t[middle], np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
 
 
-def _blocks(values: Array, bins: int) -> tuple[Array, Array]:
+def _split_into_bins(values: Array, bins: int) -> tuple[Array, Array]:
     size = -(-len(values) // bins)
     rows = -(-len(values) // size)
     index = np.arange(rows * size).reshape(rows, size)

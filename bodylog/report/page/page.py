@@ -5,25 +5,25 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from ...io.atomic_files import replacing
+from ...io.atomic_files import replace_atomically
 from ...types import Estimate, Features, Recording, Score
 from ..figures import reprojection
-from ..viewers.image_overlay import Picture
-from .data import marks, most_points, plain
-from .tables import escaped, faults, header, notes, score_tables, settings, tables, title
-from .template import document, plots
-from .traces import panels
+from ..viewers.image_overlay import OverlayPicture
+from .data import background_marks, most_points, panels_as_json
+from .tables import escape_text, fault_table, page_header, list_thinning_notes, score_tables, settings_section, finding_tables, page_title
+from .template import render_document, plots_placeholder
+from .traces import list_panels
 
 _QUALITY = 82
 
 
-def write(
+def write_report_page(
     out: Path,
     estimate: Estimate,
     features: Features,
     recording: Recording,
     scores: Sequence[Score],
-    pictures: Sequence[Picture],
+    pictures: Sequence[OverlayPicture],
     provenance: Mapping[str, str],
     verdict: Sequence[str] = (),
     headline: Mapping[str, str] = MappingProxyType({}),
@@ -32,44 +32,44 @@ def write(
 
     verdict: sentences at the top · headline: the main figures by name, each a card.
     """
-    drawn = panels(recording, features, estimate)
-    groups = [plain(drawn, marks(features, estimate), recording.duration_s)] if drawn else []
-    zeros = reprojection.zeros(estimate.settings.get("offsets"))
-    name = title(recording, provenance)
+    drawn = list_panels(recording, features, estimate)
+    groups = [panels_as_json(drawn, background_marks(features, estimate), recording.duration_s)] if drawn else []
+    zeros = reprojection.parse_zeros(estimate.settings.get("offsets"))
+    name = page_title(recording, provenance)
     body = [
-        header(name, recording, estimate, verdict, headline),
-        faults(estimate),
-        _plots(most_points(drawn), notes(features, estimate)) if drawn else "",
-        _gallery(pictures, features.hand is not None),
-        reprojection.section(reprojection.sheets(features, estimate), zeros),
+        page_header(name, recording, estimate, verdict, headline),
+        fault_table(estimate),
+        _plots_section(most_points(drawn), list_thinning_notes(features, estimate)) if drawn else "",
+        _picture_gallery(pictures, features.hand is not None),
+        reprojection.render_section(reprojection.build_sheets(features, estimate), zeros),
         score_tables(scores),
-        tables(recording, features, estimate),
-        settings(estimate, provenance),
+        finding_tables(recording, features, estimate),
+        settings_section(estimate, provenance),
     ]
-    page = document(name, "\n".join(part for part in body if part), groups)
-    with replacing(out) as beside:
+    page = render_document(name, "\n".join(part for part in body if part), groups)
+    with replace_atomically(out) as beside:
         beside.write_text(page, encoding="utf-8", newline="\n")
 
 
-def _plots(points: int, lines: Sequence[str]) -> str:
+def _plots_section(points: int, lines: Sequence[str]) -> str:
     marked = "Ground orange: touch felt, violet: stroke seen; red line: a fault begins. "
     kept = f"Lines keep at most {points} points: the lowest and highest of every stretch and its gaps; "
-    return "<h2>Over time</h2>\n" + plots((f"{marked}{kept}bands are never narrower than the whole ones.", *lines))
+    return "<h2>Over time</h2>\n" + plots_placeholder((f"{marked}{kept}bands are never narrower than the whole ones.", *lines))
 
 
-def _gallery(pictures: Sequence[Picture], hand: bool) -> str:
+def _picture_gallery(pictures: Sequence[OverlayPicture], hand: bool) -> str:
     if not pictures:
         return ""
     shown = "\n".join(
-        f'<figure><img alt="the camera at {picture.t:.2f} s" src="data:image/jpeg;base64,{_jpeg(picture)}">'
-        f"<figcaption>{escaped(picture.caption)}</figcaption></figure>"
+        f'<figure><img alt="the camera at {picture.t:.2f} s" src="data:image/jpeg;base64,{_picture_as_jpeg(picture)}">'
+        f"<figcaption>{escape_text(picture.caption)}</figcaption></figure>"
         for picture in pictures
     )
     key = "green ring: measured · yellow cross and ellipse: predicted, 2σ" + " · red square: hand" * hand
     return f'<h2>Pictures</h2>\n<p class="soft">{key}</p>\n<div class="pictures">\n{shown}\n</div>'
 
 
-def _jpeg(picture: Picture) -> str:
+def _picture_as_jpeg(picture: OverlayPicture) -> str:
     import cv2
 
     done = cv2.imencode(".jpg", picture.image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]

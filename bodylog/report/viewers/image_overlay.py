@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError, UsageError
-from ...io.atomic_files import replacing
-from ...overlay_style import PREDICTED, ellipses, measured
+from ...io.atomic_files import replace_atomically
+from ...overlay_style import PREDICTED, ellipse_corners, measurement_ink
 from ...types import Array, Estimate, Features, Recording, Series
 
 _RIM = (20, 20, 20)
-_MEASURED, _PREDICTED, _HAND = (ink.rgb[::-1] for ink in (measured("effector"), PREDICTED, measured("hand")))  # BGR
+_MEASURED, _PREDICTED, _HAND = (ink.rgb[::-1] for ink in (measurement_ink("effector"), PREDICTED, measurement_ink("hand")))  # BGR
 _WIDTH = 480
 _ACROSS, _TILE = 3, 320  # images per row of a sheet, and their width there in px
 _FINE = 4  # cv2 draws in 1/16 px with shift 4
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class OverlayPicture:
     """One image with its marks drawn: t s · image (H,W,3) uint8 BGR · caption."""
 
     t: float
@@ -28,66 +28,66 @@ class Picture:
     caption: str
 
 
-def overlay(image: Array, seen: Array | None, predicted: Array | None, cov: Array | None, hand: Array | None) -> Array:
+def draw_overlay(image: Array, seen: Array | None, predicted: Array | None, cov: Array | None, hand: Array | None) -> Array:
     """A copy of image (H,W,3) BGR: measured ring, predicted cross with the 2σ ellipse of cov (2,2) px², hand square."""
     import cv2
 
     drawn = image.copy()
     for width, inks in ((4, (_RIM,) * 3), (2, (_MEASURED, _PREDICTED, _HAND))):  # a dark rim shows on any ground
-        if (place := _sound(predicted)) is not None:
+        if (place := _drawable_point(predicted)) is not None:
             for arm in (np.array([5.0, 0.0]), np.array([0.0, 5.0])):
-                cv2.line(drawn, _fixed(place - arm), _fixed(place + arm), inks[1], width, cv2.LINE_AA, _FINE)
-            _ellipse(drawn, place, cov, inks[1], width)
-        if (place := _sound(seen)) is not None:
-            cv2.circle(drawn, _fixed(place), 11 << _FINE, inks[0], width, cv2.LINE_AA, _FINE)
-        if (place := _sound(hand)) is not None:
-            cv2.rectangle(drawn, _fixed(place - 9.0), _fixed(place + 9.0), inks[2], width, cv2.LINE_AA, _FINE)
+                cv2.line(drawn, _fixed_point(place - arm), _fixed_point(place + arm), inks[1], width, cv2.LINE_AA, _FINE)
+            _draw_ellipse(drawn, place, cov, inks[1], width)
+        if (place := _drawable_point(seen)) is not None:
+            cv2.circle(drawn, _fixed_point(place), 11 << _FINE, inks[0], width, cv2.LINE_AA, _FINE)
+        if (place := _drawable_point(hand)) is not None:
+            cv2.rectangle(drawn, _fixed_point(place - 9.0), _fixed_point(place + 9.0), inks[2], width, cv2.LINE_AA, _FINE)
     return drawn
 
 
-def pictures(recording: Recording, features: Features, estimate: Estimate, count: int = 6) -> tuple[Picture, ...]:
+def draw_pictures(recording: Recording, features: Features, estimate: Estimate, count: int = 6) -> tuple[OverlayPicture, ...]:
     """`count` frames of each camera, evenly over the log, with measurements and predictions; () without a camera."""
     films = {} if recording.frames is None else {"": recording.frames}
     wanted = [recording.duration_s * (k + 0.5) / count for k in range(count)]
-    drawn: list[Picture] = []
+    drawn: list[OverlayPicture] = []
     for camera, frames in (films | dict(recording.views)).items():
         due = iter(wanted)
         after = next(due)
         for frame in frames():
             if frame.t >= after:
                 with suppress(FormatError):  # a damaged image: health counts it, the next one is shown
-                    drawn.append(_picture(camera, frame.t, frame.image, features, estimate))
+                    drawn.append(_draw_picture(camera, frame.t, frame.image, features, estimate))
                     if (after := next(due, np.inf)) == np.inf:
                         break
     return tuple(drawn)
 
 
-def overlay_sheet(drawn: Sequence[Picture], out: Path, hand: bool = True) -> None:
+def overlay_sheet(drawn: Sequence[OverlayPicture], out: Path, hand: bool = True) -> None:
     """Write the images side by side, each with a caption below, as one PNG; UsageError: no image, suffix."""
     if not drawn:
         raise UsageError(f"{out}: no images to put on the sheet; type: bodylog info LOG to see its cameras")
-    tiles = [_tile(picture) for picture in drawn]
+    tiles = [_captioned_tile(picture) for picture in drawn]
     height = max(len(tile) for tile in tiles)
     sheet = np.full((-(-len(tiles) // _ACROSS) * height, min(_ACROSS, len(tiles)) * _TILE, 3), 255, np.uint8)
     for i, tile in enumerate(tiles):
         top, left = i // _ACROSS * height, i % _ACROSS * _TILE
         sheet[top : top + len(tile), left : left + _TILE] = tile
     legend = "green ring: measured | yellow cross, ellipse: predicted, 2 sigma" + " | red square: hand" * hand
-    key = _words(legend, sheet.shape[1])
-    write(np.vstack([sheet, key]), out)
+    key = _caption_strip(legend, sheet.shape[1])
+    write_png(np.vstack([sheet, key]), out)
 
 
-def write(image: Array, out: Path) -> None:
+def write_png(image: Array, out: Path) -> None:
     """Write an image (H,W,3) uint8 BGR as PNG; UsageError for another suffix."""
     import cv2
 
     if out.suffix.lower() != ".png":
         raise UsageError(f"{out}: suffix '{out.suffix}'; possible: .png; type: {out.with_suffix('.png')}")
-    with replacing(out) as beside:
+    with replace_atomically(out) as beside:
         beside.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
-def scaled(image: Array, width: int) -> Array:
+def scale_image(image: Array, width: int) -> Array:
     """The image scaled to a width of `width` px."""
     import cv2
 
@@ -96,31 +96,31 @@ def scaled(image: Array, width: int) -> Array:
     return cv2.resize(image, (width, height), interpolation=method)
 
 
-def _picture(camera: str, t: float, image: Array, features: Features, estimate: Estimate) -> Picture:
+def _draw_picture(camera: str, t: float, image: Array, features: Features, estimate: Estimate) -> OverlayPicture:
     at = f"{camera}/" if camera else ""
     name = f"{at}effector"
-    seen, hand = _at(features.tracks.get(name), t), _at(features.tracks.get(f"{at}hand"), t)
-    mean, row = _at(estimate.predicted.get(name), t), _nearest(estimate.predicted.get(name), t)
+    seen, hand = _place_at_time(features.tracks.get(name), t), _place_at_time(features.tracks.get(f"{at}hand"), t)
+    mean, row = _place_at_time(estimate.predicted.get(name), t), _nearest_row(estimate.predicted.get(name), t)
     cov = estimate.predicted_cov[name][row] if row is not None and name in estimate.predicted_cov else None
     caption = f"{f'{camera} · ' if camera else ''}{t:.2f} s · {'not seen' if seen is None else 'seen'}"
     if seen is not None and mean is not None:
         caption += f" · {np.hypot(*(seen - mean)):.1f} px apart"
-    return Picture(t, _enlarged(image, seen, mean, cov, hand), caption)
+    return OverlayPicture(t, _draw_enlarged_overlay(image, seen, mean, cov, hand), caption)
 
 
-def _enlarged(image: Array, seen: Array | None, mean: Array | None, cov: Array | None, hand: Array | None) -> Array:
+def _draw_enlarged_overlay(image: Array, seen: Array | None, mean: Array | None, cov: Array | None, hand: Array | None) -> Array:
     """The overlay on the image scaled to `_WIDTH` px, so that marks have one size."""
     scale = _WIDTH / image.shape[1]
     seen, mean, hand = (None if p is None else (p + 0.5) * scale - 0.5 for p in (seen, mean, hand))
-    return overlay(scaled(image, _WIDTH), seen, mean, None if cov is None else cov * scale**2, hand)
+    return draw_overlay(scale_image(image, _WIDTH), seen, mean, None if cov is None else cov * scale**2, hand)
 
 
-def _at(track: Series | None, t: float) -> Array | None:
-    row = _nearest(track, t)
-    return None if track is None or row is None else _sound(track.values[row])
+def _place_at_time(track: Series | None, t: float) -> Array | None:
+    row = _nearest_row(track, t)
+    return None if track is None or row is None else _drawable_point(track.values[row])
 
 
-def _nearest(track: Series | None, t: float, tolerance: float = 0.1) -> int | None:
+def _nearest_row(track: Series | None, t: float, tolerance: float = 0.1) -> int | None:
     """The nearest row within `tolerance` s of t."""
     if track is None or not len(track.t):
         return None
@@ -128,32 +128,32 @@ def _nearest(track: Series | None, t: float, tolerance: float = 0.1) -> int | No
     return row if abs(track.t[row] - t) <= tolerance else None
 
 
-def _sound(point: Array | None) -> Array | None:
+def _drawable_point(point: Array | None) -> Array | None:
     """The point (2,) px if it is finite and can be drawn."""
     return point if point is not None and bool((np.abs(point) < 1e5).all()) else None
 
 
-def _fixed(point: Array) -> tuple[int, int]:
+def _fixed_point(point: Array) -> tuple[int, int]:
     return round(float(point[0]) * (1 << _FINE)), round(float(point[1]) * (1 << _FINE))
 
 
-def _ellipse(image: Array, centre: Array, cov: Array | None, ink: tuple[int, int, int], width: int) -> None:
+def _draw_ellipse(image: Array, centre: Array, cov: Array | None, ink: tuple[int, int, int], width: int) -> None:
     import cv2
 
     if cov is None or not np.isfinite(cov).all() or not 0 < np.linalg.eigvalsh(cov)[-1] < 1e8:
         return
-    corners = ellipses(centre[None], cov[None])
+    corners = ellipse_corners(centre[None], cov[None])
     if np.isfinite(corners).all():
         fixed = np.rint(corners * (1 << _FINE)).astype(np.int32)
         cv2.polylines(image, fixed, True, ink, width, cv2.LINE_AA, _FINE)
 
 
-def _tile(picture: Picture) -> Array:
+def _captioned_tile(picture: OverlayPicture) -> Array:
     # cv2's fonts have only ASCII
-    return np.vstack([scaled(picture.image, _TILE), _words(picture.caption.replace("·", "|"), _TILE)])
+    return np.vstack([scale_image(picture.image, _TILE), _caption_strip(picture.caption.replace("·", "|"), _TILE)])
 
 
-def _words(text: str, width: int) -> Array:
+def _caption_strip(text: str, width: int) -> Array:
     """A strip (26,width,3) of dark text on white."""
     import cv2
 

@@ -1,13 +1,13 @@
 """Exploration for learning a body: mostly sideways, with enough lift and elbow to learn them too."""
 
-from ..plan import Plan, Request, Scenario, explore, plain, swing
+from ..plan import ScenarioPlan, Request, Scenario, plan_exploration, read_angles_with_noise, swing_of_joints
 
 _FOUR = (0, 1, 2, 3)
 
 
-def _plan(request: Request) -> Plan:
+def _plan_babble(request: Request) -> ScenarioPlan:
     joints = _FOUR if request.variant == "four" else None
-    return Plan(explore(request, swing(request, joints)), 0.003, plain)
+    return ScenarioPlan(plan_exploration(request, swing_of_joints(request, joints)), 0.003, read_angles_with_noise)
 
 
-SCENARIO = Scenario("exploration, quiet encoders", _plan, 40.0, variants=("usual", "four"))
+SCENARIO = Scenario("exploration, quiet encoders", _plan_babble, 40.0, variants=("usual", "four"))

@@ -3,19 +3,19 @@
 import numpy as np
 
 from ...types import Array
-from ..plan import Plan, Request, Scenario, plain, reach, swing
+from ..plan import ScenarioPlan, Request, Scenario, read_angles_with_noise, plan_reaches, swing_of_joints
 
 _FROM, _TO, _SIZE = 8.0, 24.0, 0.3
 
 
-def _encoders(t: Array, q: Array, noise: Array) -> Array:
-    reading = plain(t, q, noise)
+def _drifting_encoders(t: Array, q: Array, noise: Array) -> Array:
+    reading = read_angles_with_noise(t, q, noise)
     reading[:, 0] += _SIZE * np.clip((t - _FROM) / (_TO - _FROM), 0.0, 1.0)
     return reading
 
 
-def _plan(request: Request) -> Plan:
-    return Plan(reach(request, swing(request)), 0.01, _encoders)
+def _plan_drift(request: Request) -> ScenarioPlan:
+    return ScenarioPlan(plan_reaches(request, swing_of_joints(request)), 0.01, _drifting_encoders)
 
 
-SCENARIO = Scenario("the first encoder drifts from 8 s on", _plan, 30.0)
+SCENARIO = Scenario("the first encoder drifts from 8 s on", _plan_drift, 30.0)

@@ -3,22 +3,22 @@
 import numpy as np
 
 from ...types import Array
-from ..plan import Plan, Request, Scenario, plain, reach, swing
+from ..plan import ScenarioPlan, Request, Scenario, read_angles_with_noise, plan_reaches, swing_of_joints
 
 _FROM = 8.0
 
 
-def _plan(request: Request) -> Plan:
-    motion = reach(request, swing(request))
+def _plan_frozen(request: Request) -> ScenarioPlan:
+    motion = plan_reaches(request, swing_of_joints(request))
     joint = request.arm.elbow if request.variant == "elbow" else 0
     last = float(motion.position(np.array([_FROM]))[0, joint])
 
     def encoders(t: Array, q: Array, noise: Array) -> Array:
-        reading = plain(t, q, noise)
+        reading = read_angles_with_noise(t, q, noise)
         reading[t >= _FROM, joint] = last
         return reading
 
-    return Plan(motion, 0.01, encoders)
+    return ScenarioPlan(motion, 0.01, encoders)
 
 
-SCENARIO = Scenario("an encoder freezes at 8 s", _plan, 30.0, variants=("elbow", "first"))
+SCENARIO = Scenario("an encoder freezes at 8 s", _plan_frozen, 30.0, variants=("elbow", "first"))

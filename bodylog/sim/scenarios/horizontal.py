@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from ..plan import Plan, Request, Scenario, explore, plain, swing
+from ..plan import ScenarioPlan, Request, Scenario, plan_exploration, read_angles_with_noise, swing_of_joints
 
 
-def _plan(request: Request) -> Plan:
-    reach = swing(request)
+def _plan_horizontal(request: Request) -> ScenarioPlan:
+    reach = swing_of_joints(request)
     reach[request.arm.elbow] = 0.0
-    return Plan(explore(request, reach * np.where(reach == reach.max(), 1.0, 0.5)), 0.003, plain)
+    return ScenarioPlan(plan_exploration(request, reach * np.where(reach == reach.max(), 1.0, 0.5)), 0.003, read_angles_with_noise)
 
 
-SCENARIO = Scenario("exploration that does not move the elbow", _plan, 40.0)
+SCENARIO = Scenario("exploration that does not move the elbow", _plan_horizontal, 40.0)

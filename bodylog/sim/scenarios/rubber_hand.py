@@ -5,24 +5,24 @@ Five seconds without touch, then strokes; asynchronous images are 0.4 to 1 s lat
 
 import numpy as np
 
-from ..motion import still
-from ..plan import Plan, Request, Scenario, plain, strokes
+from ..motion import stand_still
+from ..plan import ScenarioPlan, Request, Scenario, read_angles_with_noise, plan_strokes
 
 _DELAYS = {"synchronous": (0.0, 0.0), "asynchronous": (0.4, 1.0)}
 _ASIDE = {"left": -0.12, "centre": 0.0, "right": 0.12}
 
 
-def _plan(request: Request) -> Plan:
+def _plan_rubber_hand(request: Request) -> ScenarioPlan:
     low, high = _DELAYS[request.variant]
-    contacts = strokes(request, 5.0 + 0.8, lambda: request.rng.uniform(low, high))
-    pose = still(np.array(request.arm.home))
+    contacts = plan_strokes(request, 5.0 + 0.8, lambda: request.rng.uniform(low, high))
+    pose = stand_still(np.array(request.arm.home))
     covered = (-1.0, request.duration + 1.0)
-    return Plan(pose, 0.01, plain, contacts, covered, 0.36, _ASIDE[request.place])
+    return ScenarioPlan(pose, 0.01, read_angles_with_noise, contacts, covered, 0.36, _ASIDE[request.place])
 
 
 SCENARIO = Scenario(
     "a hidden arm is stroked, the picture shows it elsewhere",
-    _plan,
+    _plan_rubber_hand,
     40.0,
     variants=tuple(_DELAYS),
     places=("right", "left", "centre"),

@@ -3,19 +3,19 @@
 import numpy as np
 
 from ...types import Array
-from ..motion import still
-from ..plan import Plan, Request, Scenario, explore, swing
+from ..motion import stand_still
+from ..plan import ScenarioPlan, Request, Scenario, plan_exploration, swing_of_joints
 
 
-def _plan(request: Request) -> Plan:
-    squared = swing(request) > 0
+def _plan_square_encoders(request: Request) -> ScenarioPlan:
+    squared = swing_of_joints(request) > 0
 
     def encoders(t: Array, q: Array, noise: Array) -> Array:
         return np.where(squared, q**2, q) + noise
 
     if request.variant == "moving":
-        return Plan(explore(request, swing(request)), 0.003, encoders)
-    return Plan(still(np.array(request.arm.home)), 0.01, encoders)
+        return ScenarioPlan(plan_exploration(request, swing_of_joints(request)), 0.003, encoders)
+    return ScenarioPlan(stand_still(np.array(request.arm.home)), 0.01, encoders)
 
 
-SCENARIO = Scenario("encoders read x squared", _plan, 15.0, variants=("still", "moving"))
+SCENARIO = Scenario("encoders read x squared", _plan_square_encoders, 15.0, variants=("still", "moving"))

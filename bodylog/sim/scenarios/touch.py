@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from ..motion import still
-from ..plan import Plan, Request, Scenario, plain, strokes
+from ..motion import stand_still
+from ..plan import ScenarioPlan, Request, Scenario, read_angles_with_noise, plan_strokes
 
 _DELAYS = {"synchronous": (0.0, 0.0), "late": (0.6, 0.6), "jitter": (0.0, 0.1), "wide-jitter": (0.0, 1.0)}
 
 
-def _plan(request: Request) -> Plan:
+def _plan_touch(request: Request) -> ScenarioPlan:
     low, high = _DELAYS[request.variant]
-    contacts = strokes(request, 2.0, lambda: request.rng.uniform(low, high))
-    return Plan(still(np.array(request.arm.home)), 0.01, plain, contacts)
+    contacts = plan_strokes(request, 2.0, lambda: request.rng.uniform(low, high))
+    return ScenarioPlan(stand_still(np.array(request.arm.home)), 0.01, read_angles_with_noise, contacts)
 
 
-SCENARIO = Scenario("strokes near the end effector of a still arm", _plan, 30.0, variants=tuple(_DELAYS))
+SCENARIO = Scenario("strokes near the end effector of a still arm", _plan_touch, 30.0, variants=tuple(_DELAYS))

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog.logs.conversion.examination import examine
+from bodylog.logs.conversion.examination import examine_log_file
 
 from . import drawn
 
@@ -13,7 +13,7 @@ REAL = Path(__file__).parents[4] / "shared" / "real" / "so101"
 
 
 def texts(path: Path) -> list[str]:
-    return [one.text for one in examine(path) if one.severity != "info"]
+    return [one.text for one in examine_log_file(path) if one.severity != "info"]
 
 
 def _dataset(folder: Path, pictures: np.ndarray | None = None, codec: str = "libx264", **columns: object) -> Path:

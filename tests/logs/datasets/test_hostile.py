@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import BodylogError
-from bodylog.logs.conversion.examination import examine
+from bodylog.logs.conversion.examination import examine_log_file
 from bodylog.recording import facts, recording
 from bodylog.settings import Settings
 
@@ -44,14 +44,14 @@ def _spoilt(data: bytearray, rng: random.Random) -> bytearray:
 
 
 def _read_whole(path: Path) -> None:
-    facts.info(path, Settings())
-    frames = recording.read(path, Settings()).frames
+    facts.describe_log(path, Settings())
+    frames = recording.read_recording(path, Settings()).frames
     for frame in frames() if frames is not None else ():
         try:
             assert frame.image.ndim == 3
         except BodylogError:
             continue
-    examine(path)
+    examine_log_file(path)
 
 
 def _meet(sound: Path, place: Path, seeds: range) -> None:

@@ -10,8 +10,8 @@ import pytest
 import bodylog.logs as logs
 from bodylog.errors import InputError, LogError, UsageError
 from bodylog.io import episodes
-from bodylog.io.outputs import Output, guard
-from bodylog.logs.episode_files import digest, files_of
+from bodylog.io.outputs import Output, guard_outputs
+from bodylog.logs.episode_files import hash_log, files_of
 from bodylog.logs.formats import open_log
 from bodylog.recording import facts, recording
 from bodylog.settings import Settings
@@ -80,22 +80,22 @@ def test_open_defaults_to_the_first_existing_episode(old, copied):
 
 
 def test_open_selects_an_episode_by_number(old, tmp_path):
-    assert episodes.split(Path(f"{old}#2")) == (old, 2) == episodes.split(Path(f"{old}/#2"))
-    assert episodes.split(tmp_path / "set#2") == (tmp_path / "set#2", None)
+    assert episodes.split_episode_name(Path(f"{old}#2")) == (old, 2) == episodes.split_episode_name(Path(f"{old}/#2"))
+    assert episodes.split_episode_name(tmp_path / "set#2") == (tmp_path / "set#2", None)
     (tmp_path / "run#2.mcap").touch()
-    assert episodes.split(tmp_path / "run#2.mcap")[1] is None
-    assert episodes.expanded(Path(f"{old}#0-2")) == tuple(Path(f"{old}#{n}") for n in range(3))
+    assert episodes.split_episode_name(tmp_path / "run#2.mcap")[1] is None
+    assert episodes.expand_episode_range(Path(f"{old}#0-2")) == tuple(Path(f"{old}#{n}") for n in range(3))
     with pytest.raises(UsageError, match="a range runs from the smaller number"):
-        episodes.expanded(Path(f"{old}#5-2"))
+        episodes.expand_episode_range(Path(f"{old}#5-2"))
     with pytest.raises(LogError, match=r"is not a dataset, so it has no episodes"):
         open_log(Path(f"{tmp_path}/run#2.mcap#1"))
 
 
 def test_digest_covers_only_the_episodes_files(old, copied):
-    before = [digest(Path(f"{copied}#{number}")) for number in range(3)]
-    assert before == [digest(Path(f"{old}#{number}")) for number in range(3)] and len(set(before)) == 3
+    before = [hash_log(Path(f"{copied}#{number}")) for number in range(3)]
+    assert before == [hash_log(Path(f"{old}#{number}")) for number in range(3)] and len(set(before)) == 3
     drawn.table(copied / "data/chunk-000/episode_000001.parquet", drawn.columns(1, 8))
-    after = [digest(Path(f"{copied}#{number}")) for number in range(3)]
+    after = [hash_log(Path(f"{copied}#{number}")) for number in range(3)]
     assert after[1] != before[1] and after[0] == before[0] and after[2] == before[2]
     assert files_of(copied) == files_of(Path(f"{copied}#0"))
 
@@ -103,7 +103,7 @@ def test_digest_covers_only_the_episodes_files(old, copied):
 def test_guard_refuses_an_output_inside_a_dataset(old):
     for place in (old / "new.mcap", old / "meta" / "info.json"):
         with pytest.raises(UsageError, match="input"):
-            guard([Path(f"{old}#1")], [Output(place)])
+            guard_outputs([Path(f"{old}#1")], [Output(place)])
 
 
 @pytest.mark.parametrize("declared", [{"unit": "degrees"}, {"names": ["a_deg", "b_deg", "c_deg"]}])
@@ -111,7 +111,7 @@ def test_unit_converts_declared_degrees(copied, declared):
     info = json.loads((copied / "meta/info.json").read_text())
     info["features"]["observation.state"] |= declared
     (copied / "meta/info.json").write_text(json.dumps(info))
-    read = recording.read(copied, Settings())
+    read = recording.read_recording(copied, Settings())
     assert read.joints is not None and read.joints.unit == "rad"
     np.testing.assert_allclose(read.joints.values, np.deg2rad(drawn.angles(12).astype(float)), rtol=1e-15)
     assert "degrees, as" in texts(copied)
@@ -134,9 +134,9 @@ def test_unit_reports_its_guess_from_values(copied, values, unit, text):
     (copied / "meta/info.json").write_text(json.dumps(info))
     table = drawn.columns(0, 3) | {"observation.state": rows}
     drawn.table(copied / "data/chunk-000/episode_000000.parquet", table)
-    found = facts.info(copied, Settings())
+    found = facts.describe_log(copied, Settings())
     assert found["unit"] == unit and text in " ".join(one["text"] for one in found["findings"])
-    read = recording.read(copied, Settings())
+    read = recording.read_recording(copied, Settings())
     turn = {"counts": 4096.0, "unknown": np.inf, "rad": 2 * np.pi}[unit]
     steps = np.diff(rows, axis=0)
     moved = steps - np.where(np.abs(steps) > turn / 2, np.sign(steps) * turn, 0.0) if np.isfinite(turn) else steps
@@ -153,8 +153,8 @@ def test_frames_take_row_times_and_report_drift(copied):
 
 
 def test_info_decodes_no_image(old, monkeypatch):
-    monkeypatch.setattr("bodylog.logs.datasets.video.images", lambda *_: pytest.fail("an image was decoded"))
-    assert facts.info(old, Settings())["roles"] == {"joints": "/joint_states", "camera": "/top/image"}
+    monkeypatch.setattr("bodylog.logs.datasets.video.iterate_video_images", lambda *_: pytest.fail("an image was decoded"))
+    assert facts.describe_log(old, Settings())["roles"] == {"joints": "/joint_states", "camera": "/top/image"}
 
 
 def test_open_knows_other_names_of_state_and_action(copied):
@@ -223,7 +223,7 @@ def test_open_reads_sound_images_of_a_damaged_video(copied):
         (camera,) = (topic for topic in log.topics if topic.name == "/top/image")
         messages = sum(len(batch.log_ns) for batch in log.batches((camera.id,)))
         assert messages == camera.messages == 12
-    read = recording.read(copied, Settings())
+    read = recording.read_recording(copied, Settings())
     assert read.frames is not None
     assert len(list(read.frames())) == 12
 
@@ -307,7 +307,7 @@ def test_open_names_a_missing_package(module, old, monkeypatch):
 def test_open_reads_a_real_dataset(tmp_path):
     if not REAL.is_dir():
         pytest.skip("the real SO-101 dataset (../shared/real/so101) is not at hand")
-    found = facts.info(REAL, Settings())
+    found = facts.describe_log(REAL, Settings())
     assert found["format"] == "lerobot v2.1" and found["unit"] == "rad" and len(found["joints"]) == 12
     counts = {one["topic"]: one["messages"] for one in found["topics"]}
     assert counts == {"/action": 348, "/joint_states": 348, "/cam0/image": 348, "/cam1/image": 348, "/task": 1}

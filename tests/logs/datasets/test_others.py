@@ -147,7 +147,7 @@ def test_open_folder_reads_tables_images_and_videos(tmp_path):
         np.testing.assert_array_equal(frame.image, image)
     for frame, image in zip(films, drawn.decoded(folder / "side.mp4"), strict=True):
         np.testing.assert_array_equal(frame.image, image)
-    assert facts.info(folder, Settings())["roles"]["joints"] == "/joint_states"
+    assert facts.describe_log(folder, Settings())["roles"]["joints"] == "/joint_states"
 
 
 def test_open_video_takes_times_from_the_table_beside_it(tmp_path):
@@ -213,6 +213,6 @@ def test_rows_of_wide_chunks_are_read_a_few_at_a_time(tmp_path):
     with drawn.h5py.File(tmp_path / "wide.h5", "w") as file:
         wide = file.create_dataset("wide", (12, 4096, 4096, 3), "u1", chunks=(7, 64, 1, 3), compression="gzip")
         assert hdf5_chunks.rows_at_once(wide) == 1
-        assert "524288 chunks; at most 262144 are read" in hdf5_chunks.refusal(wide, LIMITS)
+        assert "524288 chunks; at most 262144 are read" in hdf5_chunks.explain_refused_dataset(wide, LIMITS)
         usual = file.create_dataset("usual", (500, 480, 640, 3), "u1", chunks=(1, 480, 640, 3))
-        assert hdf5_chunks.rows_at_once(usual) == 4 and hdf5_chunks.refusal(usual, LIMITS) is None
+        assert hdf5_chunks.rows_at_once(usual) == 4 and hdf5_chunks.explain_refused_dataset(usual, LIMITS) is None

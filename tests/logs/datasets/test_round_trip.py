@@ -12,7 +12,7 @@ from bodylog.errors import FormatError, LogError, UsageError
 from bodylog.logs.datasets import video
 from bodylog.logs.formats import open_log
 from bodylog.logs.limits import Input
-from bodylog.recording.dataset_rows import nearest
+from bodylog.recording.dataset_rows import nearest_indices
 from bodylog.settings import Settings
 
 from . import drawn
@@ -154,7 +154,7 @@ def test_convert_keeps_a_logs_own_times(tmp_path):
     rows = pytest.importorskip("pyarrow.parquet").read_table(tmp_path / "new/data/chunk-000/file-000.parquet")
     np.testing.assert_allclose(rows["timestamp"], np.arange(30) / 31.25, atol=1e-6)
     (film,) = (tmp_path / "new/videos").rglob("*.mp4")
-    np.testing.assert_allclose(video.survey(film, Input()).t, np.arange(30) / 31.25, atol=1e-6)
+    np.testing.assert_allclose(video.survey_video(film, Input()).t, np.arange(30) / 31.25, atol=1e-6)
     features = json.loads((tmp_path / "new/meta/info.json").read_text())["features"]
     assert features["observation.state"]["dtype"] == "float64"  # in float32 they would not be the same
     assert features["observation.state"]["unit"] == "rad"
@@ -175,8 +175,8 @@ def test_nearest_matches_argmin():
     rng = np.random.default_rng(1)
     of, at = np.unique(rng.integers(0, 1000, 40)), np.unique(rng.integers(-50, 1100, 90))
     wanted = [int(np.abs(of - one).argmin()) for one in at]  # argmin takes the earlier of two
-    np.testing.assert_array_equal(nearest(of, at), wanted)
-    np.testing.assert_array_equal(nearest(of[:1], at), np.zeros(len(at)))
+    np.testing.assert_array_equal(nearest_indices(of, at), wanted)
+    np.testing.assert_array_equal(nearest_indices(of[:1], at), np.zeros(len(at)))
 
 
 def test_convert_refuses_bad_input_and_leaves_nothing(tmp_path):
